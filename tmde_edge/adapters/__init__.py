@@ -1,0 +1,1 @@
+"""Hardware and runtime libraries behind small interfaces."""

@@ -1,0 +1,1 @@
+"""CAN buses and CAN log files."""

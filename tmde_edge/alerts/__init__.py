@@ -1,0 +1,1 @@
+"""Warning policy: TTC, headway, required deceleration, hysteresis."""

@@ -1,0 +1,1 @@
+"""The verbs: live, dry-run, measure, replay, simulate and their wiring."""

@@ -1,0 +1,1 @@
+"""Pure CAN codecs: vehicle signals in, alert frames out."""

@@ -1,0 +1,1 @@
+"""Pure projective geometry: pinhole camera, planar pose, homographies."""

@@ -1,0 +1,1 @@
+"""Plate standards as data: sizes, glyph sizes, tolerances, sources."""

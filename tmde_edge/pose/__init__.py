@@ -1,0 +1,1 @@
+"""Camera attitude: lane vanishing point, horizon, compensation."""

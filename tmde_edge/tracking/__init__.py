@@ -1,0 +1,1 @@
+"""Kalman filters, ego motion, choice of the lead vehicle."""

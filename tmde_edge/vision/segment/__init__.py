@@ -1,0 +1,1 @@
+"""Characters on a plate: boxes, heights, counts."""
