@@ -1,0 +1,229 @@
+"""The configuration tree (TOML, SI units, unit in the key) and load(): unknown keys, wrong types and NaN are clear errors."""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+import sys
+import types
+import typing
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+from msgspec import Meta, Struct
+
+from tmde_edge.alerts.settings import AlertSettings
+from tmde_edge.canbus.settings import CanSettings
+from tmde_edge.errors import ConfigError
+from tmde_edge.geometry.pinhole import Camera
+from tmde_edge.pose.settings import PoseSettings
+from tmde_edge.ranging.depth_scale import DepthSettings
+from tmde_edge.ranging.settings import RangingSettings
+from tmde_edge.tracking.settings import TrackerSettings
+from tmde_edge.vision.settings import DetectorSettings, FlowSettings, SegmenterSettings
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+Positive = Annotated[float, Meta(gt=0)]
+NotNegative = Annotated[float, Meta(ge=0)]
+PositiveInt = Annotated[int, Meta(gt=0)]
+
+
+class CameraConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The `[camera]` table: where frames come from, and the calibration (no default for fx_px: uncalibrated)."""
+
+    kind: Literal["v4l2", "video_file", "disabled"] = "v4l2"
+    device: str = "/dev/video0"  # or the file of kind "video_file"
+    loop: bool = False  # video_file: begin again at the end
+    pixel_format: Literal["auto", "mjpg", "yuyv", "grey"] = "auto"
+    width_px: PositiveInt = 1280
+    height_px: PositiveInt = 720
+    rate_hz: Positive = 30.0
+    exposure_us: NotNegative | None = None  # set: manual exposure
+    gain: NotNegative | None = None  # set: manual gain, in the driver's own units
+    focus: NotNegative | None = None  # set: autofocus off, in the driver's own units
+    fx_px: Positive | None = None
+    fy_px: Positive | None = None  # default: fx_px
+    cx_px: float | None = None  # default: the middle, (width - 1) / 2
+    cy_px: float | None = None
+    distortion: list[float] = []  # OpenCV order k1 k2 p1 p2 [k3 ...]
+    focal_sigma: NotNegative = 0.005  # relative, one sigma, of fx_px and fy_px
+    height_m: Positive | None = None  # of the lens above the road
+    pitch_rad: Annotated[float, Meta(ge=-0.8, le=0.8)] = 0.0  # at calibration, nose down positive
+    roll_rad: Annotated[float, Meta(ge=-0.8, le=0.8)] = 0.0
+    yaw_rad: Annotated[float, Meta(ge=-0.8, le=0.8)] = 0.0
+    to_bumper_m: NotNegative = 0.0  # from the lens forward to the own front bumper
+
+    def camera(self) -> Camera | None:
+        """The pinhole camera of the calibrated size, or None while uncalibrated."""
+        if self.fx_px is None:
+            return None
+        return Camera(
+            width_px=self.width_px,
+            height_px=self.height_px,
+            fx_px=self.fx_px,
+            fy_px=self.fx_px if self.fy_px is None else self.fy_px,
+            cx_px=(self.width_px - 1) / 2 if self.cx_px is None else self.cx_px,
+            cy_px=(self.height_px - 1) / 2 if self.cy_px is None else self.cy_px,
+            distortion=tuple(self.distortion),
+            focal_sigma=self.focal_sigma,
+        )
+
+
+class PlatesConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The `[plates]` table."""
+
+    expect: list[str] = ["auto"]  # ids of plate standards or countries; ["auto"]: among all
+
+
+class RecordConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The `[record]` table: the drive log of the service."""
+
+    enabled: bool = False
+    folder: str = "/var/lib/tmde-edge/drives"
+    frames: bool = False  # also JPEG frames
+    blur: bool = True  # blur plates in recorded frames
+    max_mb: PositiveInt = 2000  # of the folder; the oldest logs go first
+
+
+class RuntimeConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The `[runtime]` table."""
+
+    threads: Annotated[int, Meta(ge=0)] = 0  # of every pool (OpenCV, ONNX Runtime); 0: as many as there are cores, at most 4
+    tick_hz: Positive = 20.0  # how often time passes although nothing arrives
+
+
+class Config(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The whole configuration; every value but the calibration has a default."""
+
+    camera: CameraConfig = msgspec.field(default_factory=CameraConfig)
+    plates: PlatesConfig = msgspec.field(default_factory=PlatesConfig)
+    detector: DetectorSettings = msgspec.field(default_factory=DetectorSettings)
+    segmenter: SegmenterSettings = msgspec.field(default_factory=SegmenterSettings)
+    flow: FlowSettings = msgspec.field(default_factory=FlowSettings)
+    ranging: RangingSettings = msgspec.field(default_factory=RangingSettings)
+    depth: DepthSettings = msgspec.field(default_factory=DepthSettings)
+    pose: PoseSettings = msgspec.field(default_factory=PoseSettings)
+    tracker: TrackerSettings = msgspec.field(default_factory=TrackerSettings)
+    alerts: AlertSettings = msgspec.field(default_factory=AlertSettings)
+    can: CanSettings = msgspec.field(default_factory=CanSettings)
+    record: RecordConfig = msgspec.field(default_factory=RecordConfig)
+    runtime: RuntimeConfig = msgspec.field(default_factory=RuntimeConfig)
+
+
+def load(path: Path | None, overrides: typing.Sequence[str] = ()) -> Config:
+    """Reads a TOML file (None: all defaults) and applies `table.key=value` overrides.
+
+    Raises ConfigError: one line with what, where, the value and what to do.
+    """
+    tree: dict[str, Any] = {}
+    if path is not None:
+        try:
+            tree = tomllib.loads(path.read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            raise ConfigError(f"configuration {path}: no such file; check -c/--config") from None
+        except IsADirectoryError:
+            raise ConfigError(f"configuration {path}: is a folder; name the TOML file in it") from None
+        except (OSError, UnicodeDecodeError) as e:
+            raise ConfigError(f"configuration {path}: cannot be read ({e}); check its permissions and encoding") from None
+        except tomllib.TOMLDecodeError as e:
+            raise ConfigError(f"configuration {path}: not TOML: {e}") from None
+    where = str(path) if path is not None else "defaults"
+    for text in overrides:
+        _override(tree, text)
+    return from_tree(tree, where)
+
+
+def from_tree(tree: dict[str, Any], where: str) -> Config:
+    """Checks a plain tree and makes the Config of it; `where` names its origin in errors."""
+    _check(tree, Config, "", where)
+    try:
+        config: Config = msgspec.convert(tree, Config)
+    except msgspec.ValidationError as e:
+        raise ConfigError(f"{where}: {_explain(str(e), tree)}") from None
+    camera = config.camera
+    if camera.fx_px is None and camera.fy_px is not None:
+        raise ConfigError(f"{where}: camera.fy_px = {camera.fy_px} without camera.fx_px; give both or run `tmde-edge calibrate`")
+    if len(camera.distortion) not in (0, 4, 5, 8, 12, 14):
+        raise ConfigError(f"{where}: camera.distortion has {len(camera.distortion)} values; OpenCV takes 4, 5, 8, 12 or 14")
+    if config.alerts.caution_ttc_s < config.alerts.warning_ttc_s:
+        raise ConfigError(
+            f"{where}: alerts.caution_ttc_s = {config.alerts.caution_ttc_s} is below alerts.warning_ttc_s = "
+            f"{config.alerts.warning_ttc_s}; a caution comes before a warning"
+        )
+    return config
+
+
+def to_tree(config: Config) -> dict[str, Any]:
+    """Plain dictionaries and lists of a Config, for logs and for check-config."""
+    tree: dict[str, Any] = msgspec.to_builtins(config)
+    return tree
+
+
+def _override(tree: dict[str, Any], text: str) -> None:
+    key, sep, value = text.partition("=")
+    parts = [p.strip() for p in key.split(".")]
+    if not sep or len(parts) < 2 or not all(parts):
+        raise ConfigError(f"--set {text}: not of the form table.key=value; for example --set camera.fx_px=1200")
+    try:
+        parsed: Any = tomllib.loads(f"v = {value}")["v"]
+    except tomllib.TOMLDecodeError:
+        if re.search(r"[\"'\[\]{}\n]", value):
+            raise ConfigError(f"--set {text}: {value!r} is not a TOML value; quote strings inside lists") from None
+        parsed = value.strip()
+    node = tree
+    for part in parts[:-1]:
+        node = node.setdefault(part, {})
+        if not isinstance(node, dict):
+            raise ConfigError(f"--set {text}: {part} is a value, not a table")
+    node[parts[-1]] = parsed
+
+
+def _struct_of(annotation: Any) -> type[Struct] | None:
+    """The Struct in an annotation such as X, X | None, list[X]; None where there is none or more than one."""
+    if isinstance(annotation, type) and issubclass(annotation, Struct):
+        return annotation
+    if typing.get_origin(annotation) in (typing.Union, types.UnionType, list, tuple, Annotated):
+        found = [s for a in typing.get_args(annotation) if (s := _struct_of(a)) is not None]
+        return found[0] if len(set(found)) == 1 else None
+    return None
+
+
+def _check(value: Any, struct: type[Struct] | None, at: str, where: str) -> None:
+    """Unknown keys (with the nearest right one) and numbers that are not finite, at any depth."""
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ConfigError(f"{where}: {at} = {value} is not a finite number; give a number in the key's unit")
+    if isinstance(value, list):
+        for i, item in enumerate(value):
+            _check(item, struct, f"{at}[{i}]", where)
+    if not isinstance(value, dict):
+        return
+    hints = typing.get_type_hints(struct, include_extras=True) if struct is not None else None
+    for key, item in value.items():
+        name = f"{at}.{key}" if at else key
+        if hints is not None and key not in hints:
+            near = difflib.get_close_matches(key, hints, n=1, cutoff=0.4)
+            kind = "table" if not at else "key"
+            hint = f"did you mean {at + '.' if at else ''}{near[0]}?" if near else f"known: {', '.join(sorted(hints))}"
+            raise ConfigError(f"{where}: unknown {kind} {name}; {hint}")
+        _check(item, _struct_of(hints[key]) if hints is not None else None, name, where)
+
+
+def _explain(message: str, tree: dict[str, Any]) -> str:
+    """msgspec's message with the key in our notation and the value that was given."""
+    match = re.search(r"^(.*) - at `\$\.?(.*)`$", message)
+    if match is None:
+        return message
+    what, path = match.groups()
+    node: Any = tree
+    for part in re.findall(r"[^.\[\]]+", path):
+        try:
+            node = node[int(part)] if isinstance(node, list) else node[part]
+        except (KeyError, IndexError, TypeError, ValueError):
+            return f"{path}: {what}"
+    return f"{path} = {node!r}: {what[0].lower()}{what[1:]}"
