@@ -226,13 +226,13 @@ class DepthEstimate:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LeadEstimate:
-    """The filtered state of the lead vehicle."""
+    """The filtered state of the lead vehicle. Metric values are None while uncalibrated; TTC needs no metres."""
 
     track_id: int
-    distance_m: float
-    sigma_m: float
-    range_rate_mps: float
-    range_rate_sigma_mps: float
+    distance_m: float | None
+    sigma_m: float | None
+    range_rate_mps: float | None
+    range_rate_sigma_mps: float | None
     ttc_s: float | None
     ttc_sigma_s: float | None
     headway_s: float | None

@@ -1,0 +1,118 @@
+"""When to say something: TTC, required deceleration, headway; hysteresis, confirmation, shortest duration, reasons."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from tmde_edge.alerts.settings import AlertSettings
+from tmde_edge.messages import Alert, AlertLevel
+
+_ORDER: dict[AlertLevel, int] = {"none": 0, "caution": 1, "warning": 2}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Situation:
+    """What the policy judges: the lead in the path against the own bumper. None: not known."""
+
+    t_ns: int
+    present: bool = False
+    gap_m: float | None = None
+    ttc_s: float | None = None  # braking of the lead counted
+    ttc_sigma_s: float | None = None
+    closing_mps: float | None = None  # positive when closing
+    closing_sigma_mps: float | None = None
+    required_decel_mps2: float | None = None
+    headway_s: float | None = None
+    ego_speed_mps: float | None = None
+    brake_pressed: bool | None = None
+    turn_signal: Literal["left", "right", "none"] | None = None
+
+
+class AlertPolicy:
+    """Holds the alert's state between frames; time comes in the Situation."""
+
+    def __init__(self, settings: AlertSettings) -> None:
+        self._s = settings
+        self._active = False
+        self._alert = Alert()
+        self._since_ns = 0
+        self._wanted_since_ns: dict[AlertLevel, int] = {}
+
+    def step(self, now: Situation) -> Alert:
+        """The alert of this moment."""
+        level, reason = self._wanted(now)
+        current = self._alert.level
+        levels: tuple[AlertLevel, ...] = ("caution", "warning")
+        for name in levels:  # since when each level, or one above it, has been wanted
+            if _ORDER[level] < _ORDER[name]:
+                self._wanted_since_ns.pop(name, None)
+            else:
+                self._wanted_since_ns.setdefault(name, now.t_ns)
+        confirmed = {n for n, t in self._wanted_since_ns.items() if (now.t_ns - t) * 1e-9 >= self._s.confirm_s - 1e-9}
+        if _ORDER[level] > _ORDER[current]:
+            if level in confirmed:
+                self._set(level, reason, now)
+            elif current == "none" and "caution" in confirmed:
+                self._set("caution", reason, now)
+        else:
+            held = (now.t_ns - self._since_ns) * 1e-9 < self._s.hold_s
+            if level == current:
+                if level != "none":
+                    self._alert = Alert(level=level, reason=reason, ttc_s=now.ttc_s)
+            elif not held:
+                self._set(level, reason, now)
+            else:
+                self._alert = Alert(level=current, reason=self._alert.reason, ttc_s=now.ttc_s)
+        return self._alert
+
+    def _set(self, level: AlertLevel, reason: str, now: Situation) -> None:
+        self._since_ns = now.t_ns
+        self._alert = Alert(level=level, reason=reason, ttc_s=now.ttc_s if level != "none" else None)
+
+    def _wanted(self, now: Situation) -> tuple[AlertLevel, str]:
+        s = self._s
+        speed = now.ego_speed_mps
+        if speed is not None:
+            self._active = speed >= (s.inactive_speed_mps if self._active else s.active_speed_mps)
+            if not self._active:
+                return self._parking(now)
+        if not now.present or (s.suppress_on_brake and now.brake_pressed):
+            return "none", ""
+        ease = [s.hysteresis if _ORDER[self._alert.level] >= n else 1.0 for n in (0, 1, 2)]
+        if self._closing(now) and now.ttc_s is not None:
+            if now.ttc_s <= s.warning_ttc_s * ease[2]:
+                return "warning", "ttc"
+            within = now.ttc_s <= s.max_ttc_s
+            if within and now.required_decel_mps2 is not None and now.required_decel_mps2 >= s.warning_decel_mps2 / ease[2]:
+                return "warning", "deceleration"
+            if not self._held_back(now) and now.ttc_s <= min(s.caution_ttc_s * ease[1], s.max_ttc_s):
+                return "caution", "ttc"
+        if (
+            now.headway_s is not None
+            and s.caution_headway_s > 0
+            and now.headway_s <= s.caution_headway_s * ease[1]
+            and not self._held_back(now)
+        ):
+            return "caution", "headway"
+        return "none", ""
+
+    def _parking(self, now: Situation) -> tuple[AlertLevel, str]:
+        limit = self._s.parking_distance_m * (self._s.hysteresis if self._alert.level != "none" else 1.0)
+        near = now.gap_m is not None and limit > 0 and now.gap_m <= limit
+        if now.present and near and (now.closing_mps or 0.0) > 0.02:
+            return "caution", "parking"
+        return "none", ""
+
+    def _closing(self, now: Situation) -> bool:
+        """Closing for certain: by confidence_sigma above the least closing speed that matters."""
+        if now.closing_mps is None:
+            # Without metres only the relative sigma of TTC says how certain the closing is.
+            if now.ttc_s is None or now.ttc_sigma_s is None:
+                return False
+            return now.ttc_sigma_s * max(self._s.confidence_sigma, 0.5) <= 0.5 * now.ttc_s
+        sigma = now.closing_sigma_mps or 0.0
+        return now.closing_mps - self._s.confidence_sigma * sigma >= self._s.min_closing_mps
+
+    def _held_back(self, now: Situation) -> bool:
+        return self._s.suppress_on_turn_signal and now.turn_signal in ("left", "right")

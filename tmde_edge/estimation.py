@@ -1,0 +1,286 @@
+"""Sighting | CanFrame | DepthReading | Tick in, decisions out. READ THIS FILE FIRST.
+
+One object, one method: `Estimation.step(event)`. It reads no clock and sees no pixel arrays, so the live service, the
+desk and the replay of a recorded drive run exactly this code on exactly these events.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from tmde_edge.alerts.policy import AlertPolicy, Situation
+from tmde_edge.alerts.settings import AlertSettings
+from tmde_edge.canbus.alert_tx import AlertTransmitter, StatusInfo
+from tmde_edge.canbus.ego_rx import EgoReceiver
+from tmde_edge.geometry.pinhole import Camera
+from tmde_edge.messages import (
+    Alert,
+    CanFrame,
+    DepthEstimate,
+    DepthReading,
+    EgoState,
+    Event,
+    FrameResult,
+    LeadEstimate,
+    Output,
+    PlateResult,
+    PlateSighting,
+    Pose,
+    RangeMeasurement,
+    Sighting,
+    Tick,
+)
+from tmde_edge.pose.attitude import AttitudeEstimator
+from tmde_edge.pose.compensate import view_from_vehicle
+from tmde_edge.ranging.depth_scale import DepthAligner
+from tmde_edge.ranging.ranger import Ranger, TrackScale
+from tmde_edge.tracking.lead import LeadTracker, Source, Track
+from tmde_edge.tracking.settings import TrackerSettings
+from tmde_edge.tracking.ttc import braking_ttc_s, plain_ttc_s, required_decel_mps2, ttc_sigma_s
+
+NOMINAL_FOCAL_PER_WIDTH = 0.9  # only to give an uncalibrated track a plausible scale: TTC does not depend on it
+NOMINAL_PLATE_M = 0.22  # square root of a plate's area, likewise
+BLIND_AFTER_S = 0.5  # no frame for this long is blindness
+MIN_HEADWAY_SPEED_MPS = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parts:
+    """What one Estimation is made of; app/wiring.py builds it from the configuration."""
+
+    camera: Camera | None  # None: uncalibrated
+    to_bumper_m: float
+    ranger: Ranger
+    attitude: AttitudeEstimator
+    depth: DepthAligner | None
+    tracker: TrackerSettings
+    alerts: AlertSettings
+    ego: EgoReceiver | None
+    transmitter: AlertTransmitter | None
+
+
+class Estimation:
+    """All state behind the decisions."""
+
+    def __init__(self, parts: Parts) -> None:
+        self._p = parts
+        self._tracker = LeadTracker(parts.tracker)
+        self._policy = AlertPolicy(parts.alerts)
+        self._scales: dict[int, TrackScale] = {}
+        self._ego: EgoState | None = None
+        self._pose = Pose(pitch_rad=0.0, roll_rad=0.0)
+        self._alert = Alert()
+        self._last: FrameResult | None = None
+        self._last_frame_ns: int | None = None
+        self._tick_faults: tuple[str, ...] = ()
+        self._frame_times_ns: list[int] = []
+
+    def step(self, event: Event) -> tuple[Output, ...]:
+        """Takes one event in time order and returns what follows from it."""
+        if isinstance(event, Sighting):
+            return self._on_sighting(event)
+        if isinstance(event, CanFrame):
+            self._on_can(event)
+            return ()
+        if isinstance(event, DepthReading):
+            if self._p.depth is not None:
+                self._p.depth.add_reading(event)
+            return ()
+        return self._on_tick(event)
+
+    # -- inputs -------------------------------------------------------------------------------------------------------
+
+    def _on_can(self, frame: CanFrame) -> None:
+        if self._p.ego is not None:
+            state = self._p.ego.update(frame)
+            if state is not None:
+                self._ego = state
+                self._tracker.set_ego(state)
+
+    def _on_tick(self, tick: Tick) -> tuple[Output, ...]:
+        self._tick_faults = tick.faults
+        self._refresh_ego(tick.t_ns)
+        if self._last is not None and self._last_frame_ns is not None:
+            silent_s = (tick.t_ns - self._last_frame_ns) * 1e-9
+            if silent_s > BLIND_AFTER_S:  # what was seen is history now: no lead is claimed on it
+                self._tracker.predict(tick.t_ns)
+                lead = self._lead(tick.t_ns, self._tracker.choose(tick.t_ns))
+                self._alert = self._policy.step(self._situation(tick.t_ns, lead))
+                self._last = FrameResult(
+                    t_ns=tick.t_ns, frame_index=self._last.frame_index, plates=(), lead=lead, ego=self._ego,
+                    pose=self._pose, depth=None, alert=self._alert, faults=self._faults(tick.t_ns, blind=True),
+                    mode=self._last.mode,
+                )  # fmt: skip
+        return self._transmit(tick.t_ns)
+
+    def _on_sighting(self, s: Sighting) -> tuple[Output, ...]:
+        self._last_frame_ns = s.t_ns
+        self._frame_times_ns = [*self._frame_times_ns[-30:], s.t_ns]
+        self._refresh_ego(s.t_ns)
+        self._pose = self._p.attitude.update(s.lanes, s.t_ns, self._ego)
+        self._tracker.predict(s.t_ns)
+        camera = self._p.camera.scaled_to(s.width_px, s.height_px) if self._p.camera is not None else None
+        measured: dict[int, tuple[PlateSighting, RangeMeasurement | None, str | None]] = {}
+        for i, plate in enumerate(s.plates):
+            measured[i] = (plate, *self._measure(plate, camera, s))
+        alive = {p.track_id for p in s.plates} | set(self._tracker.tracks)
+        self._scales = {k: v for k, v in self._scales.items() if k in alive}
+        self._scale_changes(s)
+        chosen = self._tracker.choose(s.t_ns)
+        lead = self._lead(s.t_ns, chosen)
+        depth = self._depth(s, camera, chosen)
+        blind = s.status in ("blind", "failed")
+        self._alert = self._policy.step(self._situation(s.t_ns, lead))
+        plates = tuple(
+            PlateResult(
+                sighting=plate,
+                range=found,
+                not_ranged=reason,
+                in_path=(t := self._tracker.tracks.get(plate.track_id)) is not None and t.in_path,
+                lead=chosen is not None and plate.track_id == chosen.track_id,
+            )
+            for plate, found, reason in measured.values()
+        )
+        self._last = FrameResult(
+            t_ns=s.t_ns, frame_index=s.frame_index, plates=plates, lead=lead, ego=self._ego, pose=self._pose, depth=depth,
+            alert=self._alert, faults=self._faults(s.t_ns, blind=blind), mode=s.mode,
+        )  # fmt: skip
+        return (self._last, *self._transmit(s.t_ns))
+
+    # -- steps --------------------------------------------------------------------------------------------------------
+
+    def _refresh_ego(self, t_ns: int) -> None:
+        if self._p.ego is not None:
+            ego = self._p.ego.state(t_ns)
+            if ego is None and self._ego is not None:
+                self._tracker.set_ego(None)
+            self._ego = ego
+
+    def _measure(self, plate: PlateSighting, camera: Camera | None, s: Sighting) -> tuple[RangeMeasurement | None, str | None]:
+        if camera is None:
+            self._tracker.update(_relative_range(plate, s), _source(plate))
+            return None, "uncalibrated"
+        found, scale, reason = self._p.ranger.measure(
+            plate, camera, view_from_vehicle(self._pose), s.t_ns, self._scales.get(plate.track_id)
+        )
+        self._scales[plate.track_id] = scale
+        if found is not None:
+            self._tracker.update(found, _source(plate))
+        return found, reason
+
+    def _scale_changes(self, s: Sighting) -> None:
+        """Growth of the whole vehicle rear says v / D by itself; the plate's own growth is already in its ranges."""
+        for change in s.scale_changes:
+            track = self._tracker.tracks.get(change.track_id)
+            dt_s = (s.t_ns - change.t_from_ns) * 1e-9
+            if track is None or dt_s <= 0 or change.ratio <= 0 or change.source == "plate":
+                continue
+            track.filter.update_inverse_ttc(-math.log(change.ratio) / dt_s, change.sigma / change.ratio / dt_s)
+
+    def _depth(self, s: Sighting, camera: Camera | None, chosen: Track | None) -> DepthEstimate | None:
+        if self._p.depth is None or camera is None:
+            return None
+        return self._p.depth.update(s, camera, self._pose, {k: t.filter.distance_m for k, t in self._tracker.tracks.items()},
+                                    chosen.track_id if chosen is not None else None)  # fmt: skip
+
+    def _lead(self, t_ns: int, track: Track | None) -> LeadEstimate | None:
+        if track is None:
+            return None
+        f, cov = track.filter, track.filter.covariance
+        gap_m, rate_mps = f.distance_m - self._bumper_m(), f.range_rate_mps
+        speed = self._ego.speed_mps if self._ego is not None else None
+        ego_sigma = self._ego.speed_sigma_mps if self._ego is not None else 0.0
+        metric = self._p.camera is not None
+        return LeadEstimate(
+            track_id=track.track_id,
+            distance_m=f.distance_m if metric else None,
+            sigma_m=track.sigma_m if metric else None,
+            range_rate_mps=rate_mps if metric else None,
+            range_rate_sigma_mps=math.hypot(math.sqrt(float(cov[1, 1])), ego_sigma, track.scale_sigma * rate_mps) if metric else None,
+            ttc_s=plain_ttc_s(gap_m, rate_mps),
+            ttc_sigma_s=ttc_sigma_s(gap_m, rate_mps, cov),
+            headway_s=gap_m / speed if metric and speed is not None and speed >= MIN_HEADWAY_SPEED_MPS else None,
+            coasting_s=(t_ns - track.measured_ns) * 1e-9,
+            source=track.source,
+            lateral_m=track.lateral_m,
+            lateral_sigma_m=track.lateral_sigma_m,
+            accel_mps2=f.accel_mps2 if metric else None,
+        )
+
+    def _bumper_m(self) -> float:
+        return self._p.to_bumper_m if self._p.camera is not None else 0.0
+
+    def _situation(self, t_ns: int, lead: LeadEstimate | None) -> Situation:
+        ego = self._ego
+        turn = ego.turn_signal if ego is not None else None
+        track = self._tracker.tracks.get(lead.track_id) if lead is not None else None
+        if lead is None or track is None:
+            return Situation(t_ns=t_ns, ego_speed_mps=ego.speed_mps if ego is not None else None, turn_signal=turn)
+        f = track.filter
+        gap_m = f.distance_m - self._bumper_m()
+        metric = self._p.camera is not None
+        # The lead's braking counts only as far as it is certain (one sigma towards none).
+        accel = min(0.0, f.accel_mps2 + math.sqrt(max(float(f.covariance[2, 2]), 0.0)))
+        return Situation(
+            t_ns=t_ns,
+            present=True,
+            gap_m=gap_m if metric else None,
+            ttc_s=braking_ttc_s(gap_m, f.range_rate_mps, accel, f.lead_speed_mps),
+            ttc_sigma_s=lead.ttc_sigma_s,
+            closing_mps=-f.range_rate_mps if metric else None,
+            closing_sigma_mps=math.sqrt(max(float(f.covariance[1, 1]), 0.0)) if metric else None,
+            required_decel_mps2=required_decel_mps2(gap_m, f.range_rate_mps) if metric else None,
+            headway_s=lead.headway_s,
+            ego_speed_mps=ego.speed_mps if ego is not None else None,
+            brake_pressed=ego.brake_pressed if ego is not None else None,
+            turn_signal=turn,
+        )
+
+    def _faults(self, t_ns: int, *, blind: bool) -> tuple[str, ...]:
+        faults = list(self._tick_faults)
+        if self._p.camera is None:
+            faults.append("uncalibrated")
+        if blind:
+            faults.append("blind")
+        if self._p.ego is not None and self._p.ego.lost(t_ns):
+            faults.append("can_lost")
+        return tuple(dict.fromkeys(faults))
+
+    def _transmit(self, t_ns: int) -> tuple[CanFrame, ...]:
+        if self._p.transmitter is None:
+            return ()
+        times = self._frame_times_ns
+        span_s = (times[-1] - times[0]) * 1e-9 if len(times) > 1 else 0.0
+        stale = self._last_frame_ns is None or (t_ns - self._last_frame_ns) * 1e-9 > BLIND_AFTER_S
+        faults = self._faults(t_ns, blind=stale) if self._last is None or stale else self._last.faults
+        status = StatusInfo(
+            fps=0.0 if stale or span_s <= 0 else (len(times) - 1) / span_s,
+            faults=faults,
+        )
+        return self._p.transmitter.frames(self._last, status, t_ns)
+
+
+def _source(plate: PlateSighting) -> Source:
+    return "flow" if plate.source == "flow" else "plate"
+
+
+def _relative_range(plate: PlateSighting, s: Sighting) -> RangeMeasurement:
+    """A range of unknown scale from the plate's image size: enough for TTC, which no scale changes."""
+    c = np.array(plate.corners_px)
+    area_px2 = 0.5 * abs(float(np.dot(c[:, 0], np.roll(c[:, 1], -1)) - np.dot(c[:, 1], np.roll(c[:, 0], -1))))
+    size_px = math.sqrt(max(area_px2, 1.0))
+    sigma_px = plate.corners_sigma_px
+    if plate.char_height_px is not None and plate.glyphs:
+        # Glyph edges are many and sharp: their mean height carries the scale better than four corners do.
+        sigma = math.sqrt(2.0 / len(plate.glyphs)) * float(np.mean([g.sigma_tb_px for g in plate.glyphs]))
+        sigma_px = min(sigma_px, sigma * size_px / plate.char_height_px)
+    distance_m = NOMINAL_FOCAL_PER_WIDTH * s.width_px * NOMINAL_PLATE_M / size_px
+    noise_m = distance_m * max(sigma_px / size_px, 0.002)
+    lateral_m = (float(c[:, 0].mean()) - (s.width_px - 1) / 2) / size_px * NOMINAL_PLATE_M
+    return RangeMeasurement(
+        track_id=plate.track_id, t_ns=s.t_ns, distance_m=distance_m, sigma_m=noise_m, noise_m=noise_m, scale_sigma=0.0,
+        lateral_m=lateral_m, lateral_sigma_m=0.1 * abs(lateral_m) + 0.1, down_m=0.0,
+    )  # fmt: skip

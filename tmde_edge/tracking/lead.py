@@ -1,0 +1,157 @@
+"""Tracks of plates in metres, and which of them is the lead: the nearest in the own path, with hysteresis."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Literal
+
+from tmde_edge.messages import EgoState, RangeMeasurement
+from tmde_edge.tracking.ego import EgoMotion
+from tmde_edge.tracking.kalman import RangeFilter
+from tmde_edge.tracking.settings import TrackerSettings
+
+Source = Literal["plate", "vehicle", "flow", "depth"]
+LATERAL_TAU_S = 0.25  # smoothing of the lateral offset: short against a lane change of 2 to 4 s
+SAME_VEHICLE_LATERAL_M = 0.9  # a new identity this near to a coasting track is that vehicle again
+
+
+@dataclass(slots=True, kw_only=True)
+class Track:
+    """One vehicle candidate."""
+
+    track_id: int
+    filter: RangeFilter
+    t_ns: int  # of the filter's state
+    measured_ns: int
+    lateral_m: float
+    lateral_sigma_m: float
+    scale_sigma: float
+    source: Source
+    hits: int = 1
+    in_path: bool = False
+    in_path_since_ns: int = 0
+    innovations: list[tuple[float, float]] = field(default_factory=list)  # (residual, sigma) of the last ranges
+
+    @property
+    def sigma_m(self) -> float:
+        """Whole sigma of the distance: the filter's and the scale's, which no averaging removes."""
+        return math.hypot(math.sqrt(max(float(self.filter.covariance[0, 0]), 0.0)), self.scale_sigma * self.filter.distance_m)
+
+
+class LeadTracker:
+    """All tracks, fed with ranges and time."""
+
+    def __init__(self, settings: TrackerSettings) -> None:
+        self._s = settings
+        self.tracks: dict[int, Track] = {}
+        self.ego_motion = EgoMotion()
+        self._ego: EgoState | None = None
+        self._lead_id: int | None = None
+
+    def set_ego(self, ego: EgoState | None) -> None:
+        """The newest ego state, or None when it is not known (any more)."""
+        self._ego = ego
+        if ego is None:
+            self.ego_motion.clear()
+        else:
+            self.ego_motion.add(ego)
+
+    def predict(self, t_ns: int) -> None:
+        """Moves every track on to t_ns and ends those that coasted too long or grew too uncertain."""
+        speed = self._ego.speed_mps if self._ego is not None else None
+        for track in list(self.tracks.values()):
+            dt_s = (t_ns - track.t_ns) * 1e-9
+            if dt_s > 0:
+                # While the speed was unknown the filter is relative; it changes over before it moves on.
+                track.filter.set_ego_speed(speed)
+                sigma_m = (self._ego.speed_sigma_mps if self._ego is not None else 0.0) * dt_s
+                track.filter.predict(dt_s, self.ego_motion.travel_m(track.t_ns, t_ns), sigma_m)
+                track.lateral_sigma_m = math.hypot(track.lateral_sigma_m, 0.5 * dt_s)
+                track.t_ns = t_ns
+            coasted_s = (t_ns - track.measured_ns) * 1e-9
+            lost = track.sigma_m > self._s.drop_sigma * max(track.filter.distance_m, 1.0) and track.hits >= self._s.confirm_hits
+            if coasted_s > self._s.coast_s or (lost and coasted_s > 0.2) or track.filter.distance_m <= 0:
+                del self.tracks[track.track_id]
+
+    def update(self, measurement: RangeMeasurement, source: Source) -> Track:
+        """One range of one track; predict() must have been called for its time."""
+        track = self.tracks.get(measurement.track_id) or self._adopt(measurement)
+        if track is None:
+            track = Track(
+                track_id=measurement.track_id,
+                filter=RangeFilter(
+                    self._s,
+                    distance_m=measurement.distance_m,
+                    noise_m=measurement.noise_m,
+                    ego_speed_mps=self._ego.speed_mps if self._ego is not None else None,
+                ),
+                t_ns=measurement.t_ns,
+                measured_ns=measurement.t_ns,
+                lateral_m=measurement.lateral_m,
+                lateral_sigma_m=measurement.lateral_sigma_m,
+                scale_sigma=measurement.scale_sigma,
+                source=source,
+            )
+            self.tracks[track.track_id] = track
+            return track
+        innovation = track.filter.update_range(measurement.distance_m, measurement.noise_m)
+        if innovation.accepted:
+            gain = track.lateral_sigma_m**2 / (track.lateral_sigma_m**2 + measurement.lateral_sigma_m**2 + 1e-9)
+            dt_s = (measurement.t_ns - track.measured_ns) * 1e-9
+            gain = max(gain, 1.0 - math.exp(-dt_s / LATERAL_TAU_S))
+            track.lateral_m += gain * (measurement.lateral_m - track.lateral_m)
+            track.lateral_sigma_m = math.sqrt(1.0 - min(gain, 0.9)) * math.hypot(track.lateral_sigma_m, 1e-3)
+            track.scale_sigma = measurement.scale_sigma
+            track.measured_ns = measurement.t_ns
+            track.source = source
+            track.hits += 1
+        track.innovations = [*track.innovations[-49:], (innovation.residual, innovation.sigma)]
+        return track
+
+    def _adopt(self, measurement: RangeMeasurement) -> Track | None:
+        """A new image identity that continues a coasting track in metres takes over its state."""
+        for track in self.tracks.values():
+            if track.measured_ns >= measurement.t_ns:
+                continue
+            gap_m = abs(track.filter.distance_m - measurement.distance_m)
+            sigma_m = math.hypot(track.sigma_m, measurement.sigma_m)
+            if gap_m <= 3 * sigma_m and abs(track.lateral_m - measurement.lateral_m) <= SAME_VEHICLE_LATERAL_M:
+                del self.tracks[track.track_id]
+                if self._lead_id == track.track_id:
+                    self._lead_id = measurement.track_id
+                track.track_id = measurement.track_id
+                self.tracks[track.track_id] = track
+                return track
+        return None
+
+    def path_offset_m(self, track: Track) -> float:
+        """Lateral offset of a track (right positive) from the path that speed and yaw rate predict."""
+        ego = self._ego
+        if ego is None or ego.yaw_rate_radps is None or ego.speed_mps < 3.0:
+            return track.lateral_m
+        curvature_pm = ego.yaw_rate_radps / ego.speed_mps  # left positive
+        return track.lateral_m + curvature_pm * track.filter.distance_m**2 / 2
+
+    def choose(self, t_ns: int) -> Track | None:
+        """The lead at t_ns: nearest in the path; a nearer one must stay in it for lead_hold_s to take over."""
+        candidates = []
+        for track in self.tracks.values():
+            offset_m = abs(self.path_offset_m(track))
+            limit_m = self._s.path_leave_m if track.in_path else self._s.path_half_width_m
+            inside = offset_m <= limit_m
+            if inside and not track.in_path:
+                track.in_path_since_ns = t_ns
+            track.in_path = inside
+            if inside and track.hits >= self._s.confirm_hits:
+                candidates.append(track)
+        if not candidates:
+            self._lead_id = None
+            return None
+        nearest = min(candidates, key=lambda c: c.filter.distance_m)
+        current = next((c for c in candidates if c.track_id == self._lead_id), None)
+        held_s = (t_ns - nearest.in_path_since_ns) * 1e-9
+        if current is not None and nearest is not current and held_s < self._s.lead_hold_s:
+            nearest = current
+        self._lead_id = nearest.track_id
+        return nearest
