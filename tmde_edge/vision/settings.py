@@ -1,0 +1,79 @@
+"""The `[detector]`, `[segmenter]` and `[flow]` tables."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from msgspec import Meta, Struct
+
+Positive = Annotated[float, Meta(gt=0)]
+NotNegative = Annotated[float, Meta(ge=0)]
+Fraction = Annotated[float, Meta(ge=0, le=1)]
+PositiveInt = Annotated[int, Meta(ge=1)]
+
+
+class DetectorSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Which finder, where and how often it looks, and when a plate counts as seen."""
+
+    kind: Literal["platenet", "contour", "onnx"] = "platenet"  # our network, the paper's Algorithm 1, a network of yours
+    score_min: Fraction = 0.5  # candidates below this are not plates (strict mode)
+    permissive_score_min: Fraction = 0.35  # the same in permissive mode
+    permissive_after_frames: PositiveInt = 30  # frames without a plate before the mode is permissive; strict again on success
+    confident_score: Fraction = 0.9  # a new plate this sure is reported at once; others when seen confirm_hits times
+    confirm_hits: PositiveInt = 2  # sightings by the detector before a less sure plate is reported
+    max_plates: PositiveInt = 8  # followed at once
+
+    search_rate_hz: Positive = 10.0  # full searches a second of source time
+    search_width_px: Annotated[int, Meta(ge=64, le=4096)] = 640  # a full search sees the frame scaled down to this width
+    fovea: bool = True  # also look at the middle of the driving path at full resolution, for far plates
+    fovea_width_px: Annotated[int, Meta(ge=64, le=2048)] = 384  # of that window, in source pixels
+    fovea_height_px: Annotated[int, Meta(ge=64, le=2048)] = 192
+    fovea_rate_hz: Positive = 10.0  # looks through the fovea a second, at frames between the full searches
+    region_margin: Positive = 1.0  # a tracked plate is looked for in its predicted box and this many plate widths round it
+    region_plate_px: Positive = 96.0  # region search scales its window so that the plate is about this wide (never enlarged)
+
+    still_second_look: bool = True  # `measure`: tiles at full resolution where the whole view shows no sure plate
+    still_tiles_max: Annotated[int, Meta(ge=0, le=64)] = 12  # at most this many tiles
+
+    lost_s: Positive = 0.5  # a track that only flow carries is dropped after this long without a detection
+    blind_contrast: NotNegative = 12.0  # grey levels between the darkest and brightest 2 % of the frame below which it is blind
+
+    # kind = "contour", Algorithm 1 of the paper
+    a_min_px: Positive = 400.0  # smallest bounding-box area of a contour, square pixels
+    max_contours: PositiveInt = 30  # the largest this many are looked at
+    min_width_px: Positive = 60.0  # smallest plate, in source pixels
+    min_height_px: Positive = 20.0
+
+    # kind = "onnx", a detector of yours
+    onnx_path: str = ""  # the file
+    onnx_format: Literal["yolo", "yolo-corners", "ssd-corners", "detr"] = "yolo"  # how its outputs are read 
+    onnx_width_px: Annotated[int, Meta(ge=0)] = 0  # input size where the graph leaves it open; 0: 640
+    onnx_height_px: Annotated[int, Meta(ge=0)] = 0
+    onnx_mean: list[float] = []  # subtracted from each channel, 0..255; empty: nothing
+    onnx_scale: Positive | None = None  # multiplies after that; none: 1/255 (yolo, detr), 1 (ssd-corners)
+    onnx_rgb: bool | None = None  # channel order; none: RGB (yolo, detr), BGR (ssd-corners)
+    onnx_class: Annotated[int, Meta(ge=0)] = 0  # which class is the plate
+
+
+class SegmenterSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How characters are measured."""
+
+    kind: Literal["glyphnet", "paper"] = "glyphnet"  # our network, or the paper's Algorithm 2 (two thresholds)
+    trim_k: Annotated[int, Meta(ge=0, le=10)] = 0  # leave out the k tallest and k shortest characters of the mean (paper: 2); 0: plain mean
+    min_characters: Annotated[int, Meta(ge=0)] = 3  # fewer than this give no character height
+    platehood_min: Fraction = 0.3  # a reader that is less sure than this that it reads a plate rejects the candidate
+    refine: bool = True  # sub-pixel plate outline in the source image
+
+
+class FlowSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Lucas-Kanade tracking inside the plate and in the vehicle's rear round it."""
+
+    enabled: bool = True
+    max_points: Annotated[int, Meta(ge=8, le=400)] = 40  # features in the plate, and as many in the ring round it
+    window_px: Annotated[int, Meta(ge=5, le=41)] = 13  # side of the Lucas-Kanade window
+    levels: Annotated[int, Meta(ge=0, le=5)] = 2  # pyramid levels above the source
+    forward_backward_px: Positive = 0.7  # a feature that does not come back this near is dropped
+    min_points: Annotated[int, Meta(ge=3)] = 6  # fewer give no prediction
+    residual_max_px: Positive = 1.5  # a fit worse than this (one sigma) gives no prediction
+    ring: Positive = 1.2  # width of the ring of vehicle rear, in plate heights
+    base_s: Positive = 0.2  # scale changes are reported over at least this span of source time
