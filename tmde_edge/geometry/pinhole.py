@@ -16,7 +16,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Camera:
-    """Intrinsics in pixels of a width x height image, pixel centres at integers; camera frame x right, y down, z forward.
+    """Intrinsics of a width x height image, pixel centres at integers; camera frame x right, y down, z forward.
 
     distortion: OpenCV's order k1 k2 p1 p2 [k3 [k4 k5 k6]] (Brown-Conrady and the rational model); () is none.
     focal_sigma: relative one-sigma uncertainty of the focal length.
@@ -41,7 +41,7 @@ class Camera:
                 f"fx_px {self.fx_px}, fy_px {self.fy_px}, focal_sigma {self.focal_sigma}"
             )
         if len(self.distortion) not in _DISTORTION_LENGTHS:
-            raise ValueError(f"camera distortion takes 0, 4, 5 or 8 numbers (k1 k2 p1 p2 ...), got {len(self.distortion)}")
+            raise ValueError(f"camera distortion takes 0, 4, 5 or 8 numbers, got {len(self.distortion)}")
 
     @property
     def focal_px(self) -> float:
@@ -86,25 +86,27 @@ class Camera:
         xy = points[:, :2] / z[:, None]
         if self.distortion:
             xy = self._distort(xy)
-        return np.stack([xy[:, 0] * self.fx_px + self.cx_px, xy[:, 1] * self.fy_px + self.cy_px], axis=1)
+        out: Floats = xy * [self.fx_px, self.fy_px] + [self.cx_px, self.cy_px]
+        return out
 
     def _distort(self, xy: Floats) -> Floats:
         k1, k2, p1, p2, k3, k4, k5, k6 = (*self.distortion, *(0.0,) * (8 - len(self.distortion)))
         x, y = xy[:, 0], xy[:, 1]
         r2 = x * x + y * y
         radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
-        return np.stack(
-            [x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x), y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y],
-            axis=1,
-        )
+        out: Floats = np.empty_like(xy)
+        out[:, 0] = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+        out[:, 1] = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+        return out
 
     def _undistort(self, target: Floats) -> Floats:
         """Newton on the distortion model; OpenCV's five fixed-point steps leave pixels at the rim of wide lenses."""
         xy, eps = target.copy(), 1e-6
+        right, down = np.array([eps, 0.0]), np.array([0.0, eps])
         for _ in range(_NEWTON_STEPS):
             error = self._distort(xy) - target
-            dx = (self._distort(xy + [eps, 0.0]) - self._distort(xy - [eps, 0.0])) / (2 * eps)
-            dy = (self._distort(xy + [0.0, eps]) - self._distort(xy - [0.0, eps])) / (2 * eps)
+            dx = (self._distort(xy + right) - self._distort(xy - right)) / (2 * eps)
+            dy = (self._distort(xy + down) - self._distort(xy - down)) / (2 * eps)
             det = dx[:, 0] * dy[:, 1] - dy[:, 0] * dx[:, 1]
             det = np.where(np.abs(det) < 1e-9, 1e-9, det)
             step = np.stack(
@@ -128,7 +130,8 @@ def view_from_vehicle(pitch_rad: float = 0.0, roll_rad: float = 0.0, yaw_rad: fl
 
 def vehicle_from_view(pitch_rad: float = 0.0, roll_rad: float = 0.0, yaw_rad: float = 0.0) -> Floats:
     """Rotation (3, 3) from the camera's frame to the vehicle's: the transpose of `view_from_vehicle`."""
-    return turn_right(yaw_rad) @ turn_down(pitch_rad) @ turn_clockwise(roll_rad)
+    out: Floats = turn_right(yaw_rad) @ turn_down(pitch_rad) @ turn_clockwise(roll_rad)
+    return out
 
 
 def turn_right(angle_rad: float) -> Floats:

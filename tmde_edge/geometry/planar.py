@@ -20,7 +20,7 @@ HUBER_SIGMAS = 1.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlanarPose:
-    """camera_from_plate: X_camera = rotation @ X_plate + translation. The plate's z axis points away from the camera."""
+    """camera_from_plate: X_camera = rotation @ X_plate + translation; the plate's z axis points away from the camera."""
 
     rotation: Floats  # (3, 3)
     translation_mm: Floats  # (3,)
@@ -45,7 +45,7 @@ def rectangle_mm(width_mm: float, height_mm: float) -> Floats:
 
 
 def planar_poses(points_mm: ArrayLike, points_px: ArrayLike, camera: Camera) -> tuple[PlanarPose, ...]:
-    """Both IPPE solutions for n >= 4 coplanar points (n, 2) mm and their pixels, the better first; lens distortion removed.
+    """Both IPPE solutions for n >= 4 coplanar points (n, 2) mm and their pixels, the better first.
 
     Empty when the points are degenerate (collinear, not finite) or lie behind the camera.
     """
