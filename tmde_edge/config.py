@@ -94,7 +94,9 @@ class RecordConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 class RuntimeConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The `[runtime]` table."""
 
-    threads: Annotated[int, Meta(ge=0)] = 0  # of every pool (OpenCV, ONNX Runtime); 0: as many as there are cores, at most 4
+    threads: Annotated[int, Meta(ge=0)] = (
+        0  # of every pool (OpenCV, ONNX Runtime); 0: as many as there are cores, at most 4
+    )
     tick_hz: Positive = 20.0  # how often time passes although nothing arrives
 
 
@@ -130,7 +132,9 @@ def load(path: Path | None, overrides: typing.Sequence[str] = ()) -> Config:
         except IsADirectoryError:
             raise ConfigError(f"configuration {path}: is a folder; name the TOML file in it") from None
         except (OSError, UnicodeDecodeError) as e:
-            raise ConfigError(f"configuration {path}: cannot be read ({e}); check its permissions and encoding") from None
+            raise ConfigError(
+                f"configuration {path}: cannot be read ({e}); check its permissions and encoding"
+            ) from None
         except tomllib.TOMLDecodeError as e:
             raise ConfigError(f"configuration {path}: not TOML: {e}") from None
     where = str(path) if path is not None else "defaults"
@@ -148,9 +152,13 @@ def from_tree(tree: dict[str, Any], where: str) -> Config:
         raise ConfigError(f"{where}: {_explain(str(e), tree)}") from None
     camera = config.camera
     if camera.fx_px is None and camera.fy_px is not None:
-        raise ConfigError(f"{where}: camera.fy_px = {camera.fy_px} without camera.fx_px; give both or run `tmde-edge calibrate`")
+        raise ConfigError(
+            f"{where}: camera.fy_px = {camera.fy_px} without camera.fx_px; give both or run `tmde-edge calibrate`"
+        )
     if len(camera.distortion) not in (0, 4, 5, 8, 12, 14):
-        raise ConfigError(f"{where}: camera.distortion has {len(camera.distortion)} values; OpenCV takes 4, 5, 8, 12 or 14")
+        raise ConfigError(
+            f"{where}: camera.distortion has {len(camera.distortion)} values; OpenCV takes 4, 5, 8, 12 or 14"
+        )
     if config.alerts.caution_ttc_s < config.alerts.warning_ttc_s:
         raise ConfigError(
             f"{where}: alerts.caution_ttc_s = {config.alerts.caution_ttc_s} is below alerts.warning_ttc_s = "

@@ -159,7 +159,9 @@ class Estimation:
                 self._tracker.set_ego(None)
             self._ego = ego
 
-    def _measure(self, plate: PlateSighting, camera: Camera | None, s: Sighting) -> tuple[RangeMeasurement | None, str | None]:
+    def _measure(
+        self, plate: PlateSighting, camera: Camera | None, s: Sighting
+    ) -> tuple[RangeMeasurement | None, str | None]:
         if camera is None:
             self._tracker.update(_relative_range(plate, s), _source(plate))
             return None, "uncalibrated"
@@ -199,7 +201,9 @@ class Estimation:
             distance_m=f.distance_m if metric else None,
             sigma_m=track.sigma_m if metric else None,
             range_rate_mps=rate_mps if metric else None,
-            range_rate_sigma_mps=math.hypot(math.sqrt(float(cov[1, 1])), ego_sigma, track.scale_sigma * rate_mps) if metric else None,
+            range_rate_sigma_mps=math.hypot(math.sqrt(float(cov[1, 1])), ego_sigma, track.scale_sigma * rate_mps)
+            if metric
+            else None,
             ttc_s=plain_ttc_s(gap_m, rate_mps),
             ttc_sigma_s=ttc_sigma_s(gap_m, rate_mps, cov),
             headway_s=gap_m / speed if metric and speed is not None and speed >= MIN_HEADWAY_SPEED_MPS else None,

@@ -84,7 +84,11 @@ class AlertPolicy:
             if now.ttc_s <= s.warning_ttc_s * ease[2]:
                 return "warning", "ttc"
             within = now.ttc_s <= s.max_ttc_s
-            if within and now.required_decel_mps2 is not None and now.required_decel_mps2 >= s.warning_decel_mps2 / ease[2]:
+            if (
+                within
+                and now.required_decel_mps2 is not None
+                and now.required_decel_mps2 >= s.warning_decel_mps2 / ease[2]
+            ):
                 return "warning", "deceleration"
             if not self._held_back(now) and now.ttc_s <= min(s.caution_ttc_s * ease[1], s.max_ttc_s):
                 return "caution", "ttc"

@@ -36,7 +36,9 @@ class Track:
     @property
     def sigma_m(self) -> float:
         """Whole sigma of the distance: the filter's and the scale's, which no averaging removes."""
-        return math.hypot(math.sqrt(max(float(self.filter.covariance[0, 0]), 0.0)), self.scale_sigma * self.filter.distance_m)
+        return math.hypot(
+            math.sqrt(max(float(self.filter.covariance[0, 0]), 0.0)), self.scale_sigma * self.filter.distance_m
+        )
 
 
 class LeadTracker:
@@ -70,7 +72,10 @@ class LeadTracker:
                 track.lateral_sigma_m = math.hypot(track.lateral_sigma_m, 0.5 * dt_s)
                 track.t_ns = t_ns
             coasted_s = (t_ns - track.measured_ns) * 1e-9
-            lost = track.sigma_m > self._s.drop_sigma * max(track.filter.distance_m, 1.0) and track.hits >= self._s.confirm_hits
+            lost = (
+                track.sigma_m > self._s.drop_sigma * max(track.filter.distance_m, 1.0)
+                and track.hits >= self._s.confirm_hits
+            )
             if coasted_s > self._s.coast_s or (lost and coasted_s > 0.2) or track.filter.distance_m <= 0:
                 del self.tracks[track.track_id]
 

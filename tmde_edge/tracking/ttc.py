@@ -15,7 +15,9 @@ def plain_ttc_s(gap_m: float, range_rate_mps: float) -> float | None:
     return max(gap_m, 0.0) / -range_rate_mps
 
 
-def braking_ttc_s(gap_m: float, range_rate_mps: float, lead_accel_mps2: float, lead_speed_mps: float | None) -> float | None:
+def braking_ttc_s(
+    gap_m: float, range_rate_mps: float, lead_accel_mps2: float, lead_speed_mps: float | None
+) -> float | None:
     """TTC that counts the lead's braking: gap + v t + a t^2 / 2 = 0; a braking lead stops, it does not reverse.
 
     lead_accel_mps2 counts only where negative (a lead that speeds up gets no credit). None when no collision follows.

@@ -1,0 +1,98 @@
+"""The policy's levels, hysteresis, confirmation and suppression."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from tmde_edge.alerts.policy import AlertPolicy, Situation
+from tmde_edge.alerts.settings import AlertSettings
+
+S = AlertSettings()
+BASE = Situation(
+    t_ns=0, present=True, gap_m=30.0, ttc_s=10.0, ttc_sigma_s=0.1, closing_mps=3.0, closing_sigma_mps=0.2,
+    required_decel_mps2=0.2, headway_s=2.0, ego_speed_mps=15.0,
+)  # fmt: skip
+
+
+def run(policy: AlertPolicy, start_s: float, seconds: float, **changes: object) -> list[tuple[str, str]]:
+    out = []
+    for k in range(round(seconds * 30)):
+        alert = policy.step(replace(BASE, t_ns=round((start_s + k / 30) * 1e9), **changes))  # type: ignore[arg-type]
+        out.append((alert.level, alert.reason))
+    return out
+
+
+def test_levels_by_ttc() -> None:
+    assert run(AlertPolicy(S), 0, 1, ttc_s=5.0)[-1][0] == "none"
+    assert run(AlertPolicy(S), 0, 1, ttc_s=3.4)[-1] == ("caution", "ttc")
+    assert run(AlertPolicy(S), 0, 1, ttc_s=2.5)[-1] == ("warning", "ttc")
+
+
+def test_one_wild_frame_says_nothing() -> None:
+    p = AlertPolicy(S)
+    run(p, 0, 1, ttc_s=5.0)
+    assert run(p, 1, 1 / 30, ttc_s=1.0)[-1][0] == "none"
+    assert run(p, 1 + 1 / 30, 1, ttc_s=5.0)[-1][0] == "none"
+
+
+def test_a_warning_comes_within_confirm_time_of_its_own() -> None:
+    p = AlertPolicy(S)
+    run(p, 0, 1, ttc_s=3.4)
+    levels = [level for level, _ in run(p, 1, 0.3, ttc_s=2.0)]
+    assert levels[0] == "caution"
+    assert "warning" in levels[: round(S.confirm_s * 30) + 2]
+
+
+def test_hysteresis_and_hold() -> None:
+    p = AlertPolicy(S)
+    run(p, 0, 1, ttc_s=2.5)
+    assert run(p, 1, 2, ttc_s=3.0)[-1][0] == "warning"
+    after = run(p, 3, 2, ttc_s=6.0)
+    assert after[-1][0] == "none"
+
+
+def test_hold_keeps_the_shortest_alert() -> None:
+    p = AlertPolicy(S)
+    run(p, 0, 0.2, ttc_s=2.5)
+    assert run(p, 0.2, 0.3, ttc_s=9.0)[-1][0] == "warning"
+
+
+def test_headway_never_warns() -> None:
+    assert run(AlertPolicy(S), 0, 2, ttc_s=None, closing_mps=0.0, headway_s=0.2)[-1] == ("caution", "headway")
+
+
+def test_uncertain_closing_is_silent() -> None:
+    assert run(AlertPolicy(S), 0, 1, ttc_s=2.5, closing_mps=2.0, closing_sigma_mps=2.0)[-1][0] == "none"
+
+
+def test_speed_gate_with_hysteresis() -> None:
+    p = AlertPolicy(S)
+    assert run(p, 0, 1, ttc_s=2.0, ego_speed_mps=3.9)[-1][0] == "none"
+    assert run(p, 1, 1, ttc_s=2.0, ego_speed_mps=4.3)[-1][0] == "warning"
+    assert run(p, 2, 1, ttc_s=2.0, ego_speed_mps=3.5)[-1][0] == "warning"
+    assert run(p, 3, 2, ttc_s=2.0, ego_speed_mps=3.0)[-1][0] == "none"
+
+
+def test_parking_by_distance() -> None:
+    p = AlertPolicy(S)
+    assert run(p, 0, 1, ego_speed_mps=0.5, gap_m=0.4, closing_mps=0.3)[-1] == ("caution", "parking")
+
+
+def test_braking_driver_is_left_alone() -> None:
+    assert run(AlertPolicy(S), 0, 1, ttc_s=2.0, brake_pressed=True)[-1][0] == "none"
+
+
+def test_uncalibrated_ttc_still_warns() -> None:
+    metric_free = {
+        "gap_m": None,
+        "closing_mps": None,
+        "closing_sigma_mps": None,
+        "required_decel_mps2": None,
+        "headway_s": None,
+    }
+    assert run(AlertPolicy(S), 0, 1, ttc_s=2.0, ttc_sigma_s=0.3, **metric_free)[-1][0] == "warning"
+    assert run(AlertPolicy(S), 0, 1, ttc_s=2.0, ttc_sigma_s=3.0, **metric_free)[-1][0] == "none"
+
+
+def test_required_deceleration() -> None:
+    assert run(AlertPolicy(S), 0, 1, ttc_s=3.5, required_decel_mps2=6.0)[-1] == ("warning", "deceleration")

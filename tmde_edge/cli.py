@@ -1,0 +1,318 @@
+"""Verbs and exit codes; the only file that prints."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import signal
+import sys
+import traceback
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any, TextIO, TypeVar
+
+from tmde_edge import __version__
+from tmde_edge.errors import CheckFailedError, InputDataError, InputMissingError, TmdeError, UsageError
+
+T = TypeVar("T")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs one command; returns the exit code of the contract."""
+    args = _parser().parse_args(argv)
+    try:
+        code: int = _verb(args)(args)
+        return code
+    except TmdeError as e:
+        if args.verbose:
+            traceback.print_exc()
+        print(f"tmde-edge: {e}", file=sys.stderr)
+        return e.exit_code
+    except KeyboardInterrupt:
+        return 130
+    except BrokenPipeError:  # the reader of our pipe has seen enough
+        sys.stdout = None  # type: ignore[assignment]
+        return 0
+    except Exception as e:
+        if args.verbose:
+            traceback.print_exc()
+        print(f"tmde-edge: internal error, please report it: {type(e).__name__}: {e} (-v shows where)", file=sys.stderr)
+        return 70
+
+
+def _verb(args: argparse.Namespace) -> Callable[[argparse.Namespace], int]:
+    if args.dry_run is not None:
+        if args.verb is not None:
+            raise UsageError(f"--dry-run and the command {args.verb!r} exclude each other")
+        return _dry_run
+    if args.verb is None:
+        return _run
+    verb: Callable[[argparse.Namespace], int] = args.function
+    return verb
+
+
+# -- arguments -----------------------------------------------------------------------------------------------------------
+
+
+def _common(parser: argparse.ArgumentParser, *, top: bool = False) -> None:
+    # Sub-commands must not overwrite with their defaults what stood before the verb.
+    default: Any = None if top else argparse.SUPPRESS
+    flag: Any = False if top else argparse.SUPPRESS
+    parser.add_argument("-c", "--config", metavar="FILE", type=Path, default=default, help="configuration (TOML)")
+    parser.add_argument(
+        "--set", metavar="TABLE.KEY=VALUE", action="append", dest="overrides", default=[] if top else argparse.SUPPRESS,
+        help="set one value, wins over the file; repeatable",
+    )  # fmt: skip
+    parser.add_argument("-q", "--quiet", action="store_true", default=flag, help="no progress, no summary")
+    parser.add_argument("-v", "--verbose", action="store_true", default=flag, help="more detail, tracebacks of errors")
+
+
+def _outputs(parser: argparse.ArgumentParser, *, top: bool = False) -> None:
+    default: Any = None if top else argparse.SUPPRESS
+    parser.add_argument(
+        "--jsonl", metavar="FILE", default=default, help="JSON lines, one a frame or image; - is stdout"
+    )
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="tmde-edge",
+        description="Distance and time to collision from the number plate of the vehicle ahead. Without a command: the service.",
+        epilog="Exit codes: 0 done; 1 a check failed; 2 wrong usage; 65 unreadable data; 66 no such input; 69 a model is "
+        "missing or broken; 70 our own fault; 74 device failed; 78 bad configuration.",
+    )
+    parser.add_argument("--version", action="version", version=f"tmde-edge {__version__}")
+    _common(parser, top=True)
+    desk = parser.add_argument_group("the desk")
+    desk.add_argument(
+        "--dry-run", metavar="SOURCE", help="a video, a folder of images, or a printf/glob pattern; no camera, no bus"
+    )
+    _outputs(desk, top=True)  # type: ignore[arg-type]
+    desk.add_argument("--can-log", metavar="FILE", type=Path, help="candump .log, .asc, .blf, .trc, also .gz")
+    desk.add_argument(
+        "--can-offset", metavar="SECONDS", type=float, default=0.0, help="t_video = t_can - first + offset"
+    )
+    desk.add_argument("--fps", metavar="N", type=float, default=30.0, help="rate of image folders (default 30)")
+    desk.add_argument("--can-out", metavar="FILE", help="the CAN frames that would be sent, as candump -L")
+    desk.add_argument("--video-out", metavar="FILE.mp4", type=Path, help="annotated video")
+    desk.add_argument("--report", metavar="FOLDER", type=Path, help="HTML report with plots")
+    desk.add_argument("--record", metavar="FILE.mcap", type=Path, help="drive log of every input and output")
+    desk.add_argument(
+        "--truth", metavar="FILE.csv", type=Path, help="true distances (columns frame, distance_m): adds errors"
+    )
+    verbs = parser.add_subparsers(dest="verb", metavar="COMMAND", title="commands")
+
+    def verb(name: str, function: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
+        sub = verbs.add_parser(name, help=text, description=text)
+        _common(sub)
+        sub.set_defaults(function=function)
+        return sub
+
+    verb("run", _run, "the service: camera in, CAN out, until SIGTERM")
+    sub = verb("measure", _measure, "every still by itself: plates found and their distances")
+    sub.add_argument("images", nargs="+", metavar="IMAGE_OR_FOLDER")
+    _outputs(sub)
+    sub = verb("simulate", _simulate, "renders a scenario with exact truth: video.mp4, can.log, truth.csv, config.toml")
+    sub.add_argument("scenario", nargs="?", metavar="SCENARIO")
+    sub.add_argument("--list", action="store_true", help="the scenarios there are")
+    sub.add_argument("--out", metavar="FOLDER", type=Path)
+    sub.add_argument("--seed", type=int, default=0)
+    sub.add_argument("--plate", metavar="STANDARD", help="another plate standard than the scenario's own")
+    sub = verb("replay", _replay, "runs a recorded drive again and compares; exit 1 where it differs")
+    sub.add_argument("drive_log", metavar="DRIVE_LOG", type=Path)
+    verb("check-config", _check_config, "reads a configuration and prints every value in force")
+    sub = verb("plates", _plates, "the plate standards")
+    sub.add_argument("action", choices=["list", "show"])
+    sub.add_argument("ids", nargs="*", metavar="ID")
+    sub = verb("range-budget", _range_budget, "what this camera can measure at which distance")
+    sub.add_argument("--json", action="store_true", help="rows as JSON lines")
+    return parser
+
+
+def _config(args: argparse.Namespace) -> Any:
+    from tmde_edge.config import load
+
+    return load(args.config, args.overrides)
+
+
+# -- helpers of the verbs ------------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def _text_out(name: str) -> Iterator[TextIO]:
+    """A file for text, or stdout for '-'."""
+    if name == "-":
+        yield sys.stdout
+        return
+    try:
+        with open(name, "w", encoding="utf-8") as f:
+            yield f
+    except OSError as e:
+        raise UsageError(f"{name}: cannot be written ({e.strerror or e})") from None
+
+
+def _progress(items: Iterable[T], total: int | None, text: str, quiet: bool) -> Iterator[T]:
+    """Passes items on; a bar with ETA on stderr when that is a terminal."""
+    if quiet or not sys.stderr.isatty():
+        yield from items
+        return
+    from rich.console import Console
+    from rich.progress import track
+
+    yield from track(items, description=text, total=total, console=Console(stderr=True))
+
+
+def _say(args: argparse.Namespace, text: str) -> None:
+    """A line for people: stderr, so that stdout stays for data."""
+    if not args.quiet:
+        print(text, file=sys.stderr)
+
+
+def _line(record: dict[str, Any]) -> str:
+    return json.dumps(record, allow_nan=False, separators=(",", ":"), ensure_ascii=False) + "\n"
+
+
+# -- verbs ---------------------------------------------------------------------------------------------------------------
+
+
+def _run(args: argparse.Namespace) -> int:
+    from tmde_edge.app.service import serve
+
+    return serve(
+        _config(args), base_dir=_base_dir(args), log_line=lambda text: print(text, file=sys.stderr, flush=True)
+    )
+
+
+def _base_dir(args: argparse.Namespace) -> Path:
+    """Relative paths in a configuration are relative to its file."""
+    return args.config.resolve().parent if args.config is not None else Path.cwd()
+
+
+def _dry_run(args: argparse.Namespace) -> int:
+    from tmde_edge.app.desk import DeskOptions, run_desk
+
+    config = _config(args)
+    stop = {"now": False}
+
+    def interrupted(_signal: int, _frame: object) -> None:  # what was made so far stays whole
+        stop["now"] = True
+
+    before = signal.signal(signal.SIGINT, interrupted)
+    try:
+        with ExitStack() as stack:
+            out = stack.enter_context(_text_out(args.jsonl)) if args.jsonl else None
+            can_out = stack.enter_context(_text_out(args.can_out)) if args.can_out else None
+            desk = run_desk(
+                config,
+                _base_dir(args),
+                DeskOptions(
+                    source=args.dry_run, fps=args.fps, can_log=args.can_log, can_offset_s=args.can_offset,
+                    video_out=args.video_out, report=args.report, record=args.record, truth=args.truth, can_out=can_out,
+                ),
+            )  # fmt: skip
+            for record in _progress(desk, desk.frame_count, "dry run", args.quiet):
+                if out is not None:
+                    out.write(_line(record))
+                if stop["now"]:
+                    break
+            summary = desk.finish()
+    finally:
+        signal.signal(signal.SIGINT, before)
+    for line in summary:
+        _say(args, line)
+    return 130 if stop["now"] else 0
+
+
+def _measure(args: argparse.Namespace) -> int:
+    from tmde_edge.app.measure import expand
+    from tmde_edge.app.wiring import measure_with
+
+    paths = expand(args.images)
+    records = measure_with(_config(args), paths)
+    usable = 0
+    with ExitStack() as stack:
+        out = stack.enter_context(_text_out(args.jsonl)) if getattr(args, "jsonl", None) else None
+        for record in _progress(records, len(paths), "measure", args.quiet):
+            usable += "error" not in record
+            if out is not None:
+                out.write(_line(record))
+            if out is not sys.stdout:
+                _say(args, _still_text(record))
+    if not usable:
+        first = f"{paths[0]}" if len(paths) == 1 else f"none of {len(paths)} images"
+        raise InputDataError(f"{first} could be used; see the error records for the reasons")
+    return 0
+
+
+def _still_text(record: dict[str, Any]) -> str:
+    if "error" in record:
+        return f"{record['image']}: {record['error']}"
+    texts = []
+    for p in record["plates"]:
+        where = f"at ({p['corners'][0][0]:.0f}, {p['corners'][0][1]:.0f})"
+        metres = (
+            f"{p['distance_m']:.2f} m +- {p['sigma_m']:.2f}"
+            if p["distance_m"] is not None
+            else p.get("not_ranged", "not ranged")
+        )
+        texts.append(f"{metres}, {p['characters']} characters {where}")
+    return f"{record['image']}: " + ("; ".join(texts) or "no plate")
+
+
+def _simulate(args: argparse.Namespace) -> int:
+    from tmde_edge.app.simulate import list_scenarios, simulate
+
+    if args.list:
+        for name, text in list_scenarios():
+            print(f"{name:24} {text}")
+        return 0
+    if args.scenario is None or args.out is None:
+        raise UsageError("simulate needs a SCENARIO and --out FOLDER; `tmde-edge simulate --list` names the scenarios")
+    made = simulate(args.scenario, args.out, seed=args.seed, plate=args.plate)
+    _say(args, f"{made.frame_count} frames in {args.out}: video.mp4, can.log, truth.csv, config.toml")
+    return 0
+
+
+def _replay(args: argparse.Namespace) -> int:
+    from tmde_edge.app.wiring import replay_log
+
+    if not args.drive_log.exists():
+        raise InputMissingError(f"{args.drive_log}: no such drive log")
+    outcome = replay_log(args.drive_log)
+    if outcome.difference is not None:
+        raise CheckFailedError(f"{args.drive_log}: {outcome.difference}")
+    _say(args, f"identical: {outcome.events} events, {outcome.outputs} outputs")
+    return 0
+
+
+def _check_config(args: argparse.Namespace) -> int:
+    from tmde_edge.app.wiring import check_parts
+    from tmde_edge.config import to_tree
+
+    config = _config(args)
+    notes = check_parts(config, _base_dir(args))
+    print(json.dumps(to_tree(config), indent=1, allow_nan=False))
+    for note in notes:
+        _say(args, note)
+    return 0
+
+
+def _plates(args: argparse.Namespace) -> int:
+    from tmde_edge.app.plates import list_lines, show_lines
+
+    for line in list_lines() if args.action == "list" else show_lines(args.ids):
+        print(line)
+    return 0
+
+
+def _range_budget(args: argparse.Namespace) -> int:
+    from tmde_edge.app.plates import budget_lines
+
+    for line in budget_lines(_config(args), as_json=args.json):
+        print(line)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
