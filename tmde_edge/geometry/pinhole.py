@@ -83,7 +83,7 @@ class Camera:
         """Pixels (n, 2) of points (n, 3) in the camera frame; NaN rows for points that are not in front."""
         points = np.asarray(points_m, dtype=np.float64).reshape(-1, 3)
         z = np.where(points[:, 2] > 1e-9, points[:, 2], np.nan)
-        xy = points[:, :2] / z[:, None]
+        xy: Floats = points[:, :2] / z[:, None]
         if self.distortion:
             xy = self._distort(xy)
         out: Floats = xy * [self.fx_px, self.fy_px] + [self.cx_px, self.cy_px]
@@ -101,7 +101,8 @@ class Camera:
 
     def _undistort(self, target: Floats) -> Floats:
         """Newton on the distortion model; OpenCV's five fixed-point steps leave pixels at the rim of wide lenses."""
-        xy, eps = target.copy(), 1e-6
+        xy: Floats = target.copy()
+        eps = 1e-6
         right, down = np.array([eps, 0.0]), np.array([0.0, eps])
         for _ in range(_NEWTON_STEPS):
             error = self._distort(xy) - target
@@ -125,7 +126,7 @@ def view_from_vehicle(pitch_rad: float = 0.0, roll_rad: float = 0.0, yaw_rad: fl
     Attitude of the camera in the vehicle: pitch positive nose down, roll positive clockwise seen from behind, yaw
     positive to the right; the camera is rolled about its own axis, then pitched, then yawed.
     """
-    return vehicle_from_view(pitch_rad, roll_rad, yaw_rad).T
+    return np.ascontiguousarray(vehicle_from_view(pitch_rad, roll_rad, yaw_rad).T)
 
 
 def vehicle_from_view(pitch_rad: float = 0.0, roll_rad: float = 0.0, yaw_rad: float = 0.0) -> Floats:

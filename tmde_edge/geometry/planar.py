@@ -20,7 +20,7 @@ HUBER_SIGMAS = 1.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlanarPose:
-    """camera_from_plate: X_camera = rotation @ X_plate + translation; the plate's z axis points away from the camera."""
+    """camera_from_plate: X_camera = rotation @ X_plate + translation; the plate's z axis points away from us."""
 
     rotation: Floats  # (3, 3)
     translation_mm: Floats  # (3,)
@@ -28,7 +28,7 @@ class PlanarPose:
 
     @property
     def yaw_rad(self) -> float:
-        """Turn of the plate about the vertical, positive when its right edge is farther away."""
+        """Heading of the plate's carrier against ours, positive to the right: the plate's right edge is nearer."""
         return float(-np.arctan2(self.rotation[2, 0], self.rotation[0, 0]))
 
     def camera_points_mm(self, points_mm: ArrayLike) -> Floats:
