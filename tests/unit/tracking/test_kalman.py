@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -81,7 +83,7 @@ def test_sigma_grows_while_nothing_is_measured() -> None:
     for _ in range(10):
         f.predict(0.1)
         sigmas.append(float(f.covariance[0, 0]))
-    assert all(b > a for a, b in zip(sigmas, sigmas[1:], strict=False))
+    assert all(b > a for a, b in itertools.pairwise(sigmas))
 
 
 def test_nees_is_consistent_on_singer_drives() -> None:
