@@ -1,0 +1,170 @@
+"""Straight edges of an image that aim at the expected vanishing point, measured to sub-pixel. Working pixels."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+MAX_LINES = 48
+_SAMPLES = 24  # along a line, when it is measured
+_REACH = 3  # pixels to each side of it
+_POINT_PX = 0.25  # error of one edge point in the working image, shared by neighbours
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Lines:
+    """Straight edges in working pixels: middle points (n, 2), unit directions (n, 2); lengths, angle sigmas, trust (n,)."""
+
+    middle_px: FloatArray
+    direction: FloatArray
+    length_px: FloatArray
+    sigma_rad: FloatArray
+    trust: FloatArray  # 1: any edge; up to 4: the edge of a painted stripe
+
+    def chosen(self, keep: NDArray[np.bool_] | NDArray[np.int64]) -> Lines:
+        return Lines(
+            middle_px=self.middle_px[keep],
+            direction=self.direction[keep],
+            length_px=self.length_px[keep],
+            sigma_rad=self.sigma_rad[keep],
+            trust=self.trust[keep],
+        )
+
+
+def edges_towards(grey: Image, prior: FloatArray, reach_px: float) -> FloatArray | None:
+    """Line pieces (n, 4) from edges whose direction could pass within reach of the prior."""
+    dx = cv2.Sobel(grey, cv2.CV_16S, 1, 0)
+    dy = cv2.Sobel(grey, cv2.CV_16S, 0, 1)
+    fx, fy = dx.astype(np.float32), dy.astype(np.float32)
+    strength = np.abs(fx) + np.abs(fy)
+    strong = float(np.clip(np.percentile(strength[::2, ::2], 93.0), 24.0, 240.0))
+    edges = cv2.Canny(dx, dy, 0.5 * strong, strong)
+    # The line through (x, y) across its gradient misses the prior by |g . (p - prior)| / |g|; twice the reach sideways.
+    ys, xs = np.nonzero(edges)
+    gx, gy = fx[ys, xs], fy[ys, xs]
+    miss = np.abs(gx * (xs - prior[0]) + gy * (ys - prior[1]))
+    far = np.hypot(xs - prior[0], ys - prior[1])
+    size = np.hypot(gx, gy)
+    allowed = np.abs(gy) * reach_px + np.abs(gx) * 2.0 * reach_px + size * 0.12 * far
+    wrong = (miss > allowed) | (ys < prior[1] + 0.02 * grey.shape[1])
+    edges[ys[wrong], xs[wrong]] = 0
+    least = max(14, grey.shape[1] // 32)
+    found = cv2.HoughLinesP(edges, 1.0, math.pi / 180.0, 14, None, float(least), 4.0)
+    if found is None:
+        return None
+    pieces = np.asarray(found, dtype=np.float64).reshape(-1, 4)
+    if len(pieces) > 3 * MAX_LINES:
+        length = np.hypot(pieces[:, 2] - pieces[:, 0], pieces[:, 3] - pieces[:, 1])
+        pieces = pieces[np.argsort(-length, kind="stable")[: 3 * MAX_LINES]]
+    return pieces
+
+
+def measured(grey: Image, pieces: FloatArray) -> Lines | None:
+    """Each piece moved onto its edge: grey profiles across it, the steepest place of each, a line through those."""
+    start, end = pieces[:, :2], pieces[:, 2:]
+    length = np.hypot(*(end - start).T)
+    direction = (end - start) / length[:, None]
+    normal = np.stack([-direction[:, 1], direction[:, 0]], axis=1)
+    along = (np.arange(_SAMPLES) + 0.5) / _SAMPLES - 0.5
+    across = np.arange(-_REACH - 1, _REACH + 2, dtype=np.float64)
+    middle = 0.5 * (start + end)
+    centre = middle[:, None, :] + along[None, :, None] * (length[:, None] * direction)[:, None, :]
+    place = centre[:, :, None, :] + across[None, None, :, None] * normal[:, None, None, :]
+    profile = _sampled(grey, place[..., 0], place[..., 1])
+    slope = 0.5 * (profile[:, :, 2:] - profile[:, :, :-2])
+    sign = np.sign(slope[:, :, _REACH - 1 : _REACH + 2].sum(axis=(1, 2)))
+    weight = np.clip(slope * np.where(sign == 0.0, 1.0, sign)[:, None, None], 0.0, None)
+    offset = np.arange(-_REACH, _REACH + 1, dtype=np.float64)
+    weight *= np.exp(-0.5 * (offset / 1.5) ** 2)  # the edge that Hough found, not its neighbour
+    mass = weight.sum(axis=2)
+    at = (weight * offset).sum(axis=2) / np.maximum(mass, 1e-9)
+
+    u = along[None, :] * length[:, None]
+    w = np.sqrt(mass)
+    for _ in range(3):
+        sw = np.maximum(w.sum(axis=1), 1e-9)
+        mean_u, mean_at = (w * u).sum(axis=1) / sw, (w * at).sum(axis=1) / sw
+        spread = (w * (u - mean_u[:, None]) ** 2).sum(axis=1)
+        tilt = (w * (u - mean_u[:, None]) * (at - mean_at[:, None])).sum(axis=1) / np.maximum(spread, 1e-9)
+        rest = at - mean_at[:, None] - tilt[:, None] * (u - mean_u[:, None])
+        scatter = np.maximum(np.sqrt((w * rest**2).sum(axis=1) / sw), 0.05)
+        w = np.sqrt(mass) / (1.0 + (rest / (2.0 * scatter[:, None])) ** 2)
+    centre_at = mean_at - tilt * mean_u
+    turned = direction + tilt[:, None] * normal
+    turned /= np.linalg.norm(turned, axis=1)[:, None]
+    # Neighbouring samples share pixels and paint defects: about one independent point in 6 px.
+    independent = np.clip(length / 6.0, 2.0, _SAMPLES)
+    sigma = np.hypot(scatter, _POINT_PX) * math.sqrt(12.0) / (length * np.sqrt(independent))
+    kept = (scatter < 1.0) & (mass.mean(axis=1) > 2.0) & (np.abs(tilt) < 0.2)
+    if not kept.any():
+        return None
+    lines = Lines(
+        middle_px=middle + centre_at[:, None] * normal, direction=turned, length_px=length, sigma_rad=sigma,
+        trust=np.ones(len(length)),
+    ).chosen(kept)
+    return _without_twins(lines)
+
+
+def painted(grey: Image, lines: Lines, horizon_row: float) -> FloatArray:
+    """0..1 (n,): is this the edge of a light stripe as wide as road paint?
+
+    A stripe of width w on the road is w (row - horizon row) / camera height wide in its row, whatever the lens: grey is
+    sampled across in units of the depth below the horizon, which lays all rows of a stripe over each other.
+    """
+    u = (np.arange(10) + 0.5) / 10 - 0.5
+    place = lines.middle_px[:, None, :] + u[None, :, None] * (lines.length_px[:, None] * lines.direction)[:, None, :]
+    depth = np.maximum(place[:, :, 1] - horizon_row, 8.0)
+    across = np.arange(-14, 15) * 0.02
+    x = place[:, :, None, 0] + across * depth[:, :, None]
+    y = np.broadcast_to(place[:, :, None, 1], x.shape)
+    profile = _sampled(grey, x, y).mean(axis=1)
+    total = np.concatenate([np.zeros((len(profile), 1)), np.cumsum(profile, axis=1)], axis=1)
+
+    def mean(first: int, last: int) -> FloatArray:
+        part: FloatArray = (total[:, last + 1] - total[:, first]) / (last - first + 1)
+        return part
+
+    best = np.zeros(len(profile))
+    for steps in (3, 4, 6, 8, 10):  # width 0.06 .. 0.2 of the camera's height: 8 .. 26 cm at 1.3 m
+        for inside, left, right in (
+            (mean(15, 13 + steps), mean(10, 13), mean(15 + steps, min(18 + steps, 28))),
+            (mean(15 - steps, 13), mean(max(10 - steps, 0), 13 - steps), mean(15, 18)),
+        ):
+            contrast = inside - np.maximum(left, right)
+            best = np.maximum(best, contrast / np.maximum(0.5 * (left + right), 20.0))
+    clear: FloatArray = np.clip((best - 0.08) / 0.25, 0.0, 1.0)
+    return clear
+
+
+def _without_twins(lines: Lines) -> Lines:
+    """The longest of each group that measures the same stretch of the same edge."""
+    order = np.argsort(-lines.length_px, kind="stable")
+    lines = lines.chosen(order)
+    step = lines.middle_px[None, :, :] - lines.middle_px[:, None, :]
+    along = np.abs(np.einsum("ijk,ik->ij", step, lines.direction))
+    across = np.abs(step[:, :, 0] * -lines.direction[:, None, 1] + step[:, :, 1] * lines.direction[:, None, 0])
+    turn = np.abs(lines.direction @ np.array([[0.0, 1.0], [-1.0, 0.0]]) @ lines.direction.T)
+    overlap = along < 0.4 * (lines.length_px[:, None] + lines.length_px[None, :])
+    twin = (across < 1.0) & (turn < 0.05) & overlap
+    keep = np.ones(len(order), dtype=bool)
+    for i in range(len(order)):
+        if keep[i]:
+            later = twin[i].copy()
+            later[: i + 1] = False
+            keep[later] = False
+    return lines.chosen(np.flatnonzero(keep)[:MAX_LINES])
+
+
+def _sampled(grey: Image, x_px: FloatArray, y_px: FloatArray) -> FloatArray:
+    """Grey values between pixels at places of any shape."""
+    flat = (-1, x_px.shape[-1])
+    x, y = x_px.reshape(flat).astype(np.float32), y_px.reshape(flat).astype(np.float32)
+    values = cv2.remap(grey, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(values, dtype=np.float64).reshape(x_px.shape)
