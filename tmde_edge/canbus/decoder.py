@@ -1,0 +1,384 @@
+"""From `[can.vehicle]` to a plan of which bits of which messages mean what: by DBC name or described directly."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal, TypeAlias
+
+from tmde_edge.canbus import checks
+from tmde_edge.canbus.bits import BitSlice
+from tmde_edge.canbus.dbc import DbcMessages, load_messages, unavailable_codes
+from tmde_edge.canbus.settings import BitField, CanSettings, SignalSource, VehicleSettings
+from tmde_edge.errors import ConfigError
+
+Quantity: TypeAlias = Literal["speed", "yaw_rate", "brake", "turn_signal"]
+MessageKey: TypeAlias = tuple[int, bool]  # id, extended
+
+_SPEED_UNITS = {"m/s": 1.0, "km/h": 1 / 3.6, "mph": 0.44704, "kn": 1852 / 3600}
+_YAW_UNITS = {"rad/s": 1.0, "deg/s": math.pi / 180}
+_ALIASES = {  # how DBC files write them
+    "kph": "km/h", "kmh": "km/h", "km^h": "km/h", "kilometerperhour": "km/h", "mps": "m/s", "meterpersecon": "m/s",
+    "mileperhour": "mph", "milesperhour": "mph", "knots": "kn", "kt": "kn",
+    "°/s": "deg/s", "degree/s": "deg/s", "degrees/s": "deg/s", "grad/s": "deg/s", "degreofarcpersecon": "deg/s",
+    "degreepersecond": "deg/s", "radians/s": "rad/s",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Flag:
+    """True where the raw bits equal a value."""
+
+    bits: BitSlice
+    equals: int
+
+    def __call__(self, data: bytes) -> bool:
+        return self.bits.raw(data) == self.equals
+
+
+@dataclass(frozen=True, slots=True)
+class Scaled:
+    """One raw value with its scale, its limits and the codes that mean "not available"."""
+
+    bits: BitSlice
+    scale: float = 1.0
+    offset: float = 0.0
+    unavailable: frozenset[int] = frozenset()  # raw
+    max_raw: int | None = None
+
+    def value(self, data: bytes) -> float | None:
+        """The physical value in the signal's unit; None: not available."""
+        raw = self.bits.raw(data)
+        if raw in self.unavailable or (self.max_raw is not None and raw > self.max_raw):
+            return None
+        if self.bits.length >= 8 and not self.bits.signed and raw == self.bits.all_ones:
+            return None
+        return raw * self.scale + self.offset
+
+
+@dataclass(frozen=True, slots=True)
+class Reader:
+    """Reads one quantity from one message."""
+
+    quantity: Quantity
+    parts: tuple[Scaled, ...]
+    to_si: float = 1.0  # with the sign of our convention
+    sign: Flag | None = None
+    valid: Flag | None = None
+    multiplex: Flag | None = None
+    above: float = 0.0
+    left: int = 1
+    right: int = 2
+
+    @property
+    def resolution(self) -> float:
+        """One raw step in SI units."""
+        return abs(self.parts[0].scale * self.to_si)
+
+    def number(self, data: bytes) -> float | None:
+        """Mean of the parts in SI units (m/s, rad/s); None: not available."""
+        if self.valid is not None and not self.valid(data):
+            return None
+        total = 0.0
+        for part in self.parts:
+            value = part.value(data)
+            if value is None:
+                return None
+            total += value
+        result = total / len(self.parts) * self.to_si
+        if self.sign is not None and self.sign(data):
+            result = -result
+        return result
+
+    def pressed(self, data: bytes) -> bool | None:
+        """The brake: any part above its threshold."""
+        if self.valid is not None and not self.valid(data):
+            return None
+        values = [part.value(data) for part in self.parts]
+        if any(v is None for v in values):
+            return None
+        return any(v is not None and v > self.above for v in values)
+
+    def turn(self, data: bytes) -> Literal["left", "right", "none"] | None:
+        """The indicator; both flags on is the hazard light, which is no turn."""
+        if self.valid is not None and not self.valid(data):
+            return None
+        if len(self.parts) == 2:
+            left, right = (part.bits.unsigned(data) != 0 for part in self.parts)
+        else:
+            raw = self.parts[0].bits.raw(data)
+            left, right = raw == self.left, raw == self.right
+        if left == right:
+            return "none"
+        return "left" if left else "right"
+
+
+@dataclass(frozen=True, slots=True)
+class MessagePlan:
+    """What to check in one message and what to read from it."""
+
+    name: str
+    can_id: int
+    extended: bool
+    min_bytes: int
+    readers: tuple[Reader, ...]
+    rule: str = ""  # name in checks.RULES; empty: none
+    counter: tuple[BitSlice, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleDecoder:
+    """The plan for one vehicle: immutable, shared by every receiver."""
+
+    plans: Mapping[MessageKey, MessagePlan]
+    quantities: frozenset[Quantity]
+    notes: tuple[str, ...] = ()  # what was skipped or cannot be checked, for the user
+    gps: bool = False
+    skipped: tuple[str, ...] = field(default=())  # messages of the DBC that do not load
+
+    @property
+    def can_ids(self) -> tuple[MessageKey, ...]:
+        """The ids that are needed, for the adapter's filter."""
+        return tuple(self.plans)
+
+
+def build_decoder(settings: CanSettings, dbc_text: str | None = None, dbc_name: str = "") -> VehicleDecoder:
+    """Resolves `[can.vehicle]`.
+
+    Raises ConfigError: a message or signal that is not there, a unit that does not fit, a description with holes.
+    """
+    vehicle = settings.vehicle
+    named: tuple[tuple[Quantity, SignalSource | None], ...] = (
+        ("speed", vehicle.speed),
+        ("yaw_rate", vehicle.yaw_rate),
+        ("brake", vehicle.brake),
+        ("turn_signal", vehicle.turn_signal),
+    )
+    sources = [(quantity, source) for quantity, source in named if source is not None]
+    notes: list[str] = []
+    dbc = _load(vehicle, sources, dbc_text, dbc_name, notes)
+    found: dict[MessageKey, list[_Resolved]] = {}
+    for quantity, source in sources:
+        resolved = _resolve(quantity, source, dbc, dbc_name)
+        found.setdefault((resolved.can_id, resolved.extended), []).append(resolved)
+    plans = {key: _plan(key, group, notes) for key, group in found.items()}
+    return VehicleDecoder(
+        plans=plans,
+        quantities=frozenset(q for q, _ in sources),
+        notes=tuple(notes),
+        gps=bool(vehicle.gps_device),
+        skipped=dbc.skipped if dbc is not None else (),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Resolved:
+    name: str
+    can_id: int
+    extended: bool
+    min_bytes: int
+    reader: Reader
+    rule: str  # "", a rule, or "?" where a checksum is named but its kind is not known
+    counter: tuple[BitSlice, ...]
+
+
+def _load(
+    vehicle: VehicleSettings,
+    sources: Sequence[tuple[Quantity, SignalSource]],
+    text: str | None,
+    name: str,
+    notes: list[str],
+) -> DbcMessages | None:
+    by_name = {s.message for _, s in sources if s.id is None}
+    if not by_name:
+        return None
+    if text is None:
+        quantity = next(q for q, s in sources if s.id is None)
+        raise ConfigError(
+            f"can.vehicle.{quantity} names a message but can.vehicle.dbc is not set; name the DBC file or describe "
+            "the signal directly (id, start_bit, length, byte_order, scale, offset, unit)"
+        )
+    dbc = load_messages(text, name, by_name)
+    notes.append(f"{name}: {len(dbc.messages)} of {len(dbc.known)} messages read, only those that are needed")
+    return dbc
+
+
+def _resolve(quantity: Quantity, source: SignalSource, dbc: DbcMessages | None, dbc_name: str) -> _Resolved:
+    at = f"can.vehicle.{quantity}"
+    if source.id is not None:
+        if source.message or source.signal or source.signals:
+            raise ConfigError(f"{at} has both id = {source.id:#x} and names of a DBC; give one of the two")
+        return _resolve_direct(at, quantity, source, source.id)
+    if dbc is None or not source.message:
+        raise ConfigError(f"{at} has neither message nor id; give message and signal of a DBC, or id, start_bit and length")
+    return _resolve_named(at, quantity, source, dbc, dbc_name)
+
+
+def _resolve_named(at: str, quantity: Quantity, source: SignalSource, dbc: DbcMessages, dbc_name: str) -> _Resolved:
+    message = dbc.messages.get(source.message)
+    if message is None:
+        for line in dbc.skipped:
+            if line.startswith(source.message + " "):
+                raise ConfigError(f"{at}.message: {dbc_name}: {line}; describe the signal directly (id, start_bit, length ...)")
+        near = difflib.get_close_matches(source.message, dbc.known, n=1, cutoff=0.4)
+        hint = f"did you mean {near[0]!r}?" if near else f"it has {len(dbc.known)} messages, the first is {dbc.known[0]!r}"
+        raise ConfigError(f"{at}.message = {source.message!r} is not in {dbc_name}; {hint}")
+    signals = {s.name: s for s in message.signals}
+
+    def signal(name: str, key: str) -> Any:
+        if name in signals:
+            return signals[name]
+        near = difflib.get_close_matches(name, signals, n=1, cutoff=0.3)
+        hint = f"did you mean {near[0]!r}?" if near else f"it has {', '.join(signals)}"
+        raise ConfigError(f"{at}.{key} = {name!r} is not in message {source.message} of {dbc_name}; {hint}")
+
+    names = [source.signal] if source.signal else list(source.signals)
+    if not names or (source.signal and source.signals):
+        raise ConfigError(
+            f"{at}: give signal or signals of message {source.message}, one of the two; it has {', '.join(signals)}"
+        )
+    parts = []
+    for name in names:
+        found = signal(name, "signal")
+        if found.conversion.is_float:
+            raise ConfigError(f"{at}.signal = {name!r}: floating-point signals are not read; name another")
+        parts.append(
+            Scaled(
+                _slice_of(found),
+                float(found.scale),
+                float(found.offset),
+                frozenset(unavailable_codes(found)) if quantity in ("speed", "yaw_rate") else frozenset(),
+                source.valid_max_raw,
+            )
+        )
+    unit = source.unit or (signal(names[0], "signal").unit or "")
+    multiplex = None
+    first = signals[names[0]]
+    if first.multiplexer_ids:
+        multiplex = Flag(_slice_of(signals[first.multiplexer_signal]), int(first.multiplexer_ids[0]))
+
+    def flag(given: BitField | None, key: str) -> Flag | None:
+        if given is None:
+            return None
+        return Flag(_slice_of(signal(given.signal, f"{key}.signal")) if given.signal else _bits(at, key, given), given.equals)
+
+    reader = _reader(at, quantity, source, tuple(parts), unit, flag(source.sign, "sign"), flag(source.valid, "valid"), multiplex)
+    rule, counter = _find_checks(source, message, signals)
+    if source.counter is not None:
+        given = flag(source.counter, "counter")
+        counter = (given.bits,) if given is not None else counter
+    return _Resolved(
+        source.message, int(message.frame_id), bool(message.is_extended_frame), int(message.length), reader, rule, counter
+    )
+
+
+def _resolve_direct(at: str, quantity: Quantity, source: SignalSource, can_id: int) -> _Resolved:
+    starts = [source.start_bit] if source.start_bit is not None else list(source.start_bits)
+    if not starts or (source.start_bit is not None and source.start_bits) or source.length is None:
+        raise ConfigError(
+            f"{at}: id = {can_id:#x} needs start_bit (or start_bits) and length; byte_order, scale, offset as they are"
+        )
+    big = source.byte_order == "big"
+    parts = tuple(
+        Scaled(BitSlice(start, source.length, big, source.signed), source.scale, source.offset, max_raw=source.valid_max_raw)
+        for start in starts
+    )
+    sign = Flag(_bits(at, "sign", source.sign), source.sign.equals) if source.sign is not None else None
+    valid = Flag(_bits(at, "valid", source.valid), source.valid.equals) if source.valid is not None else None
+    reader = _reader(at, quantity, source, parts, source.unit, sign, valid, None)
+    rule = "" if source.checksum in ("auto", "none") else source.checksum
+    counter = (_bits(at, "counter", source.counter),) if source.counter is not None else checks.implied_counter(rule, can_id)
+    extended = can_id > 0x7FF if source.extended is None else source.extended
+    if can_id > 0x7FF and not extended:
+        raise ConfigError(f"{at}.id = {can_id:#x} does not fit 11 bits; set extended = true")
+    needed = max(b.bytes_needed for b in _all_bits(reader, counter))
+    if needed > 64:
+        raise ConfigError(f"{at}: start_bit and length reach beyond 64 bytes; check them (DBC numbering)")
+    return _Resolved(f"{can_id:#x}", can_id, extended, needed, reader, rule, counter)
+
+
+def _reader(
+    at: str,
+    quantity: Quantity,
+    source: SignalSource,
+    parts: tuple[Scaled, ...],
+    unit: str,
+    sign: Flag | None,
+    valid: Flag | None,
+    multiplex: Flag | None,
+) -> Reader:
+    to_si = 1.0
+    if quantity in ("speed", "yaw_rate"):
+        units = _SPEED_UNITS if quantity == "speed" else _YAW_UNITS
+        plain = unit.strip().lower().removeprefix("unit_")
+        factor = units.get(_ALIASES.get(plain, plain))
+        if factor is None:
+            raise ConfigError(f"{at}.unit = {unit!r} is not known for this; give one of {', '.join(units)}")
+        to_si = -factor if source.invert else factor
+        if any(part.scale == 0 for part in parts):
+            raise ConfigError(f"{at}.scale = 0; give the signal's scale")
+    if quantity == "turn_signal" and len(parts) > 2:
+        raise ConfigError(
+            f"{at} has {len(parts)} signals; give one with left and right codes, or two: the left and the right flag"
+        )
+    return Reader(quantity, parts, to_si, sign, valid, multiplex, above=source.above, left=source.left, right=source.right)
+
+
+def _bits(at: str, key: str, given: BitField) -> BitSlice:
+    if given.start_bit is None:
+        raise ConfigError(f"{at}.{key} has no start_bit; give start_bit and length (or the signal's name where a DBC is used)")
+    return BitSlice(given.start_bit, given.length, given.byte_order == "big")
+
+
+def _slice_of(signal: Any) -> BitSlice:
+    return BitSlice(int(signal.start), int(signal.length), signal.byte_order == "big_endian", bool(signal.is_signed))
+
+
+def _all_bits(reader: Reader, counter: Sequence[BitSlice]) -> list[BitSlice]:
+    flags = [f.bits for f in (reader.sign, reader.valid, reader.multiplex) if f is not None]
+    return [*(p.bits for p in reader.parts), *flags, *counter]
+
+
+def _find_checks(source: SignalSource, message: Any, signals: Mapping[str, Any]) -> tuple[str, tuple[BitSlice, ...]]:
+    """Checksum rule and counter as the DBC names and places them (the layouts by which opendbc tells the makes apart)."""
+    counter = tuple(_slice_of(s) for name, s in signals.items() if name.upper() in ("COUNTER", "_COUNTER"))[:1]
+    if source.checksum != "auto":
+        return ("" if source.checksum == "none" else source.checksum), counter
+    if "WHL_SPD_Checksum_LSB" in signals or "CheckSum_TCS3" in signals:
+        return "hyundai", checks.implied_counter("hyundai", int(message.frame_id))
+    alive = next((s for name, s in signals.items() if name.endswith("_AliveCounter")), None)
+    if alive is not None and not counter:
+        counter = (_slice_of(alive),)
+    checksum = next((s for name, s in signals.items() if name.upper() == "CHECKSUM"), None)
+    if checksum is None:
+        named = any("checksum" in name.lower() or name.endswith("_No_Cs") for name in signals)
+        return ("?" if named else ""), counter
+    last_byte = 8 * (int(message.length) - 1)
+    place = (int(checksum.start), int(checksum.length), checksum.byte_order == "big_endian")
+    if place == (last_byte + 7, 8, True):
+        return "toyota", counter
+    if place == (last_byte + 3, 4, True):
+        return "honda", counter
+    if place == (0, 16, False):
+        return "hyundai_canfd", counter
+    if place == (0, 8, False) and checks.verifiable("vw_mqb", int(message.frame_id)):
+        return "vw_mqb", counter
+    return "?", counter
+
+
+def _plan(key: MessageKey, group: Sequence[_Resolved], notes: list[str]) -> MessagePlan:
+    can_id, extended = key
+    first = group[0]
+    rule = next((r.rule for r in group if r.rule not in ("", "?")), "")
+    counter = next((r.counter for r in group if r.counter), ())
+    if rule and not checks.verifiable(rule, can_id):
+        notes.append(f"message {first.name} ({can_id:#x}): no constants for its {rule} checksum; it is not checked")
+        rule = ""
+    elif not rule and any(r.rule == "?" for r in group):
+        notes.append(f"message {first.name} ({can_id:#x}): its checksum is of no known kind; it is not checked")
+    min_bytes = max(r.min_bytes for r in group)
+    for resolved in group:
+        min_bytes = max(min_bytes, *(b.bytes_needed for b in _all_bits(resolved.reader, counter)))
+    return MessagePlan(first.name, can_id, extended, min_bytes, tuple(r.reader for r in group), rule, counter)
