@@ -16,8 +16,6 @@ from tmde_edge.pose.compensate import FloatArray, pitch_and_yaw, vanishing_point
 from tmde_edge.pose.resting import RestingPose
 from tmde_edge.pose.settings import PoseSettings
 
-_LOST_AFTER = 5  # outliers in a row: the filter is wrong, not they
-
 
 class AttitudeEstimator:
     """Pose of the camera against the road; pitch positive nose down, roll positive clockwise, yaw positive right."""
@@ -43,7 +41,7 @@ class AttitudeEstimator:
         self._t_ns: int | None = None
         self._seen_ns: int | None = None
         self._source: str = "none"
-        self._outliers = 0
+        self._doubted: tuple[float, float, int] | None = None  # pitch, sigma and time of the last outlier
 
     @property
     def resting(self) -> RestingPose:
@@ -103,21 +101,19 @@ class AttitudeEstimator:
         ray = camera.rays(np.array([lanes.vanishing_px]))[0]
         roll_rad = self._calibrated[1] + self._roll[0]
         pitch_rad, yaw_rad = pitch_and_yaw(ray, roll_rad)
-        sigma_rad = math.hypot(lanes.sigma_y_px / camera.fy_px, lanes.sigma_x_px / camera.fx_px * math.sin(roll_rad))
+        sigma_rad = math.hypot(
+            lanes.sigma_y_px / camera.fy_px,
+            lanes.sigma_x_px / camera.fx_px * math.sin(roll_rad),
+            self._settings.road_sigma_rad,
+        )
         if not (math.isfinite(pitch_rad) and math.isfinite(sigma_rad)):
             return
         rest = self.rest
         innovation = pitch_rad - rest.pitch_rad - float(self._state[0])
         variance = float(self._covariance[0, 0]) + sigma_rad**2
-        if innovation**2 > self._settings.gate_sigma**2 * variance:
-            self._outliers += 1
-            if self._outliers < _LOST_AFTER:
-                return
-            self._covariance = self._at_rest()
-            variance = float(self._covariance[0, 0]) + sigma_rad**2
-            if innovation**2 > 2.0 * self._settings.gate_sigma**2 * variance:
-                return
-        self._outliers = 0
+        if innovation**2 > self._settings.gate_sigma**2 * variance and not self._confirmed(pitch_rad, sigma_rad, t_ns):
+            return
+        self._doubted = None
         gain = self._covariance[:, 0] / variance
         self._state = self._state + gain * innovation
         left = np.eye(2) - np.outer(gain, [1.0, 0.0])
@@ -129,6 +125,18 @@ class AttitudeEstimator:
             before = self.rest.pitch_rad
             self._resting = self._resting.with_sample(pitch_rad, yaw_rad)
             self._state[0] += before - self.rest.pitch_rad  # the pitch itself does not jump when its rest is corrected
+
+    def _confirmed(self, pitch_rad: float, sigma_rad: float, t_ns: int) -> bool:
+        """A far-off sighting is believed once the next one, soon after, agrees with it: clutter does not repeat itself."""
+        before, self._doubted = self._doubted, (pitch_rad, sigma_rad, t_ns)
+        if before is None or (t_ns - before[2]) * 1e-9 > self._settings.hold_s:
+            return False
+        dt_s = (t_ns - before[2]) * 1e-9
+        moved_rad = self._settings.pitch_spread_rad * 2.0 * math.pi * self._settings.natural_hz * dt_s
+        agrees = abs(pitch_rad - before[0]) <= 2.0 * math.hypot(sigma_rad, before[1], min(moved_rad, 0.01))
+        if agrees:
+            self._covariance = self._at_rest()
+        return agrees
 
     def _take_roll(self, roll_rad: float, sigma_rad: float) -> None:
         """Roll changes slowly against its calibration: a first-order filter of about a second at 10 Hz."""

@@ -47,12 +47,12 @@ class RestingPose:
     @property
     def pitch_rad(self) -> float:
         """Mean of the blocks; 0 before the first."""
-        return sum(b[0] for b in self.blocks_rad) / len(self.blocks_rad) if self.blocks_rad else 0.0
+        return _mean([b[0] for b in self.blocks_rad]) if self.blocks_rad else 0.0
 
     @property
     def yaw_rad(self) -> float:
         """Mean of the blocks; 0 before the first."""
-        return sum(b[1] for b in self.blocks_rad) / len(self.blocks_rad) if self.blocks_rad else 0.0
+        return _mean([b[1] for b in self.blocks_rad]) if self.blocks_rad else 0.0
 
     @property
     def sigma_rad(self) -> float:
@@ -70,23 +70,23 @@ class RestingPose:
         if state.samples < BLOCK_SAMPLES:
             return state
         block = state.pitch_sum_rad / state.samples, state.yaw_sum_rad / state.samples
-        blocks = (*self.blocks_rad, block)[-BLOCKS_KEPT:]
-        if len(blocks) > BLOCKS_NEEDED and self.valid and _far_from(self, block):
-            blocks = _after_a_move(blocks)
-        return RestingPose(blocks_rad=blocks)
+        return RestingPose(blocks_rad=_without_old_mounting((*self.blocks_rad, block)[-BLOCKS_KEPT:]))
 
 
-def _far_from(state: RestingPose, block: tuple[float, float]) -> bool:
-    return math.hypot(block[0] - state.pitch_rad, block[1] - state.yaw_rad) > MAX_SPREAD_RAD
+def _without_old_mounting(blocks: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
+    """When the three newest blocks agree with each other and not with the older ones, the camera was moved: forget those."""
+    new, old = blocks[-3:], blocks[:-3]
+    if len(old) < 3:
+        return blocks
+    apart_rad = math.hypot(*(_mean([b[i] for b in new]) - _mean([b[i] for b in old]) for i in (0, 1)))
+    scatter_rad = max(_deviation([b[i] for b in new]) for i in (0, 1))
+    return new if apart_rad > MAX_SPREAD_RAD and scatter_rad < 0.3 * MAX_SPREAD_RAD else blocks
 
 
-def _after_a_move(blocks: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
-    """When the newest blocks agree with each other and not with the older ones, the camera was moved: forget the old."""
-    newest = blocks[-3:]
-    apart = max(_deviation([b[i] for b in newest]) for i in (0, 1))
-    return newest if apart < 0.3 * MAX_SPREAD_RAD else blocks
+def _mean(values: list[float]) -> float:
+    return sum(values) / len(values)
 
 
 def _deviation(values: list[float]) -> float:
-    mean = sum(values) / len(values)
+    mean = _mean(values)
     return math.sqrt(sum((v - mean) ** 2 for v in values) / (len(values) - 1))

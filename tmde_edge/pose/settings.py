@@ -23,7 +23,8 @@ class PoseSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     pitch_spread_rad: Positive = 0.012  # one sigma of the body's pitching about its rest (braking, bumps)
     natural_hz: Positive = 1.2  # of the body's pitching on its springs
     damping: Annotated[float, Meta(gt=0, lt=1)] = 0.5  # of the same, as a fraction of critical
-    gate_sigma: Positive = 3.5  # a vanishing point further off than this many sigma is an outlier
+    gate_sigma: Positive = 2.0  # a vanishing point further off than this many sigma must be confirmed by the next one
+    road_sigma_rad: NotNegative = 0.002  # of the road's slope ahead against the road under the car, one sigma
     rest_sigma_rad: Positive = 0.006  # of the calibrated pitch and roll, until driving has confirmed them
     auto_calibrate: bool = True  # learn the resting pitch and yaw while driving straight
     calibrate_speed_mps: Positive = 7.0  # learn only at this speed or more ...

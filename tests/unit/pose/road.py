@@ -31,15 +31,17 @@ def picture(
               [side, side], [-side, side]]  # fmt: skip
     _fill(image, np.array(ground), 70.0)
     for lateral_m in stripes_m:
-        ends = [(3.0, 90.0)] if not dashes or lateral_m in (stripes_m[0], stripes_m[-1]) else [(4.0 + 9 * k, 7.0 + 9 * k) for k in range(8)]
+        solid = not dashes or lateral_m in (stripes_m[0], stripes_m[-1])
+        ends = [(3.0, 90.0)] if solid else [(4.0 + 9 * k, 7.0 + 9 * k) for k in range(8)]
         for near_m, far_m in ends:
             x0, x1 = lateral_m - 0.075, lateral_m + 0.075
             corners = np.array([[x0, HEIGHT_M, near_m], [x0, HEIGHT_M, far_m], [x1, HEIGHT_M, far_m], [x1, HEIGHT_M, near_m]])
             _fill(image, projected(corners, pose, camera), 200.0)
     if car:
         for level, box in ((30.0, (-0.9, -0.2, 0.9, 1.25)), (120.0, (-0.7, -0.1, 0.7, 0.4)), (200.0, (-0.26, 0.6, 0.26, 0.71))):
-            l, t, r, b = box
-            _fill(image, projected(np.array([[l, t, 9.0], [r, t, 9.0], [r, b, 9.0], [l, b, 9.0]]), pose, camera), level)
+            x0, y0, x1, y1 = box
+            face = np.array([[x0, y0, 9.0], [x1, y0, 9.0], [x1, y1, 9.0], [x0, y1, 9.0]])
+            _fill(image, projected(face, pose, camera), level)
     rng = np.random.default_rng(seed)
     image = cv2.GaussianBlur(image, (0, 0), 0.6) + rng.normal(0.0, noise, image.shape)
     return cv2.cvtColor(np.clip(image, 0, 255).astype(np.uint8), cv2.COLOR_GRAY2BGR)
