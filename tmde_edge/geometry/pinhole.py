@@ -158,7 +158,6 @@ def rotation_from_vector(vector_rad: ArrayLike) -> Floats:
     v = np.asarray(vector_rad, dtype=np.float64).reshape(3)
     angle = float(np.sqrt(v @ v))
     k = np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
-    if angle < 1e-8:
-        return np.eye(3) + k + 0.5 * (k @ k)
-    out: Floats = np.eye(3) + (np.sin(angle) / angle) * k + ((1 - np.cos(angle)) / angle**2) * (k @ k)
+    first, second = (np.sin(angle) / angle, (1 - np.cos(angle)) / angle**2) if angle > 1e-8 else (1.0, 0.5)
+    out: Floats = np.eye(3) + first * k + second * (k @ k)
     return out

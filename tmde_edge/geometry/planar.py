@@ -16,6 +16,7 @@ from tmde_edge.geometry.pinhole import Camera, rotation_from_vector
 Floats = NDArray[np.float64]
 
 HUBER_SIGMAS = 1.5
+_EYE, _NO_DISTORTION = np.eye(3), np.zeros(4)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,28 +50,29 @@ def planar_poses(points_mm: ArrayLike, points_px: ArrayLike, camera: Camera) -> 
 
     Empty when the points are degenerate (collinear, not finite) or lie behind the camera.
     """
+    return poses_of_rays(points_mm, camera.rays(points_px)[:, :2], camera.focal_px)
+
+
+def poses_of_rays(points_mm: ArrayLike, rays: ArrayLike, focal_px: float = 1.0) -> tuple[PlanarPose, ...]:
+    """As `planar_poses`, from normalised image points (n, 2) in any camera-like frame; errors are times focal_px."""
     plane = np.asarray(points_mm, dtype=np.float64).reshape(-1, 2)
-    pixels = np.asarray(points_px, dtype=np.float64).reshape(-1, 2)
-    rays = camera.rays(pixels)
-    if not np.all(np.isfinite(rays)) or len(plane) < 4:
+    xy = np.ascontiguousarray(np.asarray(rays, dtype=np.float64).reshape(-1, 2))
+    if not np.all(np.isfinite(xy)) or len(plane) < 4:
         return ()
     flat = np.column_stack([plane, np.zeros(len(plane))])
     try:
-        count, rotations, translations, _ = cv2.solvePnPGeneric(
-            flat, np.ascontiguousarray(rays[:, :2]), np.eye(3), np.zeros(4), flags=cv2.SOLVEPNP_IPPE
-        )
+        count, rotations, translations, _ = cv2.solvePnPGeneric(flat, xy, _EYE, _NO_DISTORTION, flags=cv2.SOLVEPNP_IPPE)
     except cv2.error:  # a singular homography: no pose, not a fault of ours
         return ()
     poses = []
     for i in range(int(count)):
         rotation = rotation_from_vector(rotations[i])
         translation = np.asarray(translations[i], dtype=np.float64).reshape(3)
-        pose = PlanarPose(rotation=rotation, translation_mm=translation, rms_px=0.0)
-        where = pose.camera_points_mm(plane)
+        where = plane @ rotation[:, :2].T + translation
         if not np.all(np.isfinite(where)) or float(where[:, 2].min()) <= 0:
             continue
-        error = camera.project(where) - pixels
-        rms = float(np.sqrt(np.mean(error**2)))
+        error = where[:, :2] / where[:, 2:] - xy
+        rms = focal_px * float(np.sqrt(np.mean(error**2)))
         poses.append(PlanarPose(rotation=rotation, translation_mm=translation, rms_px=rms))
     return tuple(sorted(poses, key=lambda p: p.rms_px))
 

@@ -1,0 +1,153 @@
+"""What of a sighting can be measured: viewing rays in the vehicle's axes, validity at the frame's edge, height clusters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tmde_edge.geometry.pinhole import Camera
+from tmde_edge.messages import PlateSighting
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+EDGE_MARGIN_PX = 1.5  # closer to the frame's edge a feature may be cut
+SAME_GROUP = 1.25  # neighbours farther apart than this times the usual spacing stand in different groups
+
+
+@dataclass(frozen=True, slots=True)
+class Features:
+    """Normalised image points (x, y) with z = 1 along the vehicle's forward axis; sigmas in the same unit (px / focal).
+
+    Corners TL, TR, BR, BL (4, 2); glyph edge mid points (n, 2); rows (n,) int. `runs` holds index arrays of glyphs that
+    stand next to each other without a group gap, left to right.
+    """
+
+    focal_px: float
+    corners: Floats
+    corner_ok: Bools
+    corner_sigma: float
+    centre: Floats  # (2,) of the plate
+    top: Floats
+    bottom: Floats
+    left: Floats
+    right: Floats
+    sigma_tb: Floats
+    sigma_lr: Floats
+    row: NDArray[np.int64]
+    runs: tuple[NDArray[np.int64], ...]
+    stroke: float | None
+    spacing: float | None
+    border: float | None
+    char_height: float | None
+
+    @property
+    def heights(self) -> Floats:
+        """Top to bottom of every glyph (n,), normalised."""
+        return np.sqrt(np.sum((self.bottom - self.top) ** 2, axis=1))
+
+    @property
+    def width(self) -> float | None:
+        """Mean of the upper and lower edge's length, normalised, of those whose ends are valid."""
+        return self._mean_edge(((0, 1), (3, 2)))
+
+    @property
+    def height(self) -> float | None:
+        """Mean of the left and right edge's length, normalised, of those whose ends are valid."""
+        return self._mean_edge(((0, 3), (1, 2)))
+
+    def _mean_edge(self, pairs: tuple[tuple[int, int], ...]) -> float | None:
+        lengths = [
+            float(np.hypot(*(self.corners[b] - self.corners[a]))) for a, b in pairs if self.corner_ok[a] and self.corner_ok[b]
+        ]
+        return sum(lengths) / len(lengths) if lengths else None
+
+
+def gather(plate: PlateSighting, camera: Camera, view_from_vehicle: Floats) -> Features:
+    """Features of one plate; glyphs that are cut by the frame, empty or not finite are left out."""
+    glyphs = [g for g in plate.glyphs if _whole((g.left_px, g.right_px, g.top_px, g.bottom_px), camera) and g.height_px > 0.5]
+    n = len(glyphs)
+    points = [*plate.corners_px]
+    for g in glyphs:
+        points += [g.top_px, g.bottom_px, g.left_px, g.right_px]
+    pixels = np.array(points, dtype=np.float64)
+    corner_ok = np.isfinite(pixels[:4]).all(axis=1)
+    inside = (
+        (pixels[:4, 0] >= EDGE_MARGIN_PX) & (pixels[:4, 0] <= camera.width_px - 1 - EDGE_MARGIN_PX)
+        & (pixels[:4, 1] >= EDGE_MARGIN_PX) & (pixels[:4, 1] <= camera.height_px - 1 - EDGE_MARGIN_PX)
+    )
+    corner_ok &= inside
+    rays = _rays(camera, view_from_vehicle, np.where(np.isfinite(pixels), pixels, 0.0))
+    focal = camera.focal_px
+    edges = rays[4:].reshape(n, 4, 2)
+    rows = np.array([g.row for g in glyphs], dtype=np.int64)
+    corners = rays[:4]
+    centre = _crossing(corners) if corner_ok.all() else _middle(corners[corner_ok], edges)
+    return Features(
+        focal_px=focal, corners=corners, corner_ok=corner_ok, corner_sigma=max(plate.corners_sigma_px, 0.02) / focal,
+        centre=centre, top=edges[:, 0], bottom=edges[:, 1], left=edges[:, 2], right=edges[:, 3],
+        sigma_tb=np.array([max(g.sigma_tb_px, 0.02) / focal for g in glyphs]),
+        sigma_lr=np.array([max(g.sigma_lr_px, 0.02) / focal for g in glyphs]),
+        row=rows, runs=_runs((edges[:, 2] + edges[:, 3]) / 2, rows), stroke=_norm(plate.stroke_px, focal),
+        spacing=_norm(plate.spacing_px, focal), border=_norm(plate.border_px, focal),
+        char_height=_norm(plate.char_height_px, focal),
+    )
+
+
+def clusters(log_heights: Floats, gap: float = 0.11) -> list[NDArray[np.int64]]:
+    """Groups of indices of equal height, tallest first: sorted logarithms are cut where they jump by more than `gap`."""
+    order = np.argsort(-log_heights)
+    cuts = np.flatnonzero(-np.diff(log_heights[order]) > gap) + 1
+    return [part.astype(np.int64) for part in np.split(order, cuts) if len(part)]
+
+
+def _rays(camera: Camera, view_from_vehicle: Floats, pixels: Floats) -> Floats:
+    rays = camera.rays(pixels) @ view_from_vehicle  # row vectors: v_vehicle = view_from_vehicle^T v_view
+    out: Floats = rays[:, :2] / rays[:, 2:]
+    return out
+
+
+def _whole(points: tuple[tuple[float, float], ...], camera: Camera) -> bool:
+    return all(
+        EDGE_MARGIN_PX <= x <= camera.width_px - 1 - EDGE_MARGIN_PX and EDGE_MARGIN_PX <= y <= camera.height_px - 1 - EDGE_MARGIN_PX
+        for x, y in points
+    )
+
+
+def _norm(value_px: float | None, focal_px: float) -> float | None:
+    return value_px / focal_px if value_px is not None and np.isfinite(value_px) and value_px > 0 else None
+
+
+def _crossing(corners: Floats) -> Floats:
+    """Where the diagonals cross: the image of the rectangle's centre."""
+    a, b, c, d = corners
+    ac, bd, ab = c - a, d - b, b - a
+    det = ac[0] * bd[1] - ac[1] * bd[0]
+    if abs(det) < 1e-15:
+        return np.asarray(corners.mean(axis=0), dtype=np.float64)
+    s = (ab[0] * bd[1] - ab[1] * bd[0]) / det
+    return np.asarray(a + s * ac, dtype=np.float64)
+
+
+def _middle(corners: Floats, edges: Floats) -> Floats:
+    """Centre of what is seen of a plate that is not seen whole."""
+    points = np.concatenate([corners, edges.reshape(-1, 2)])
+    if not len(points):
+        return np.zeros(2)
+    return np.asarray((points.min(axis=0) + points.max(axis=0)) / 2, dtype=np.float64)
+
+
+def _runs(centres: Floats, rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], ...]:
+    found: list[NDArray[np.int64]] = []
+    for row in sorted(set(rows.tolist())):
+        member = np.flatnonzero(rows == row)
+        member = member[np.argsort(centres[member, 0])]
+        if len(member) < 2:
+            continue
+        steps = np.sqrt(np.sum(np.diff(centres[member], axis=0) ** 2, axis=1))
+        usual = float(np.quantile(steps, 0.3))
+        cuts = np.flatnonzero(steps > SAME_GROUP * usual) + 1
+        found += [part.astype(np.int64) for part in np.split(member, cuts) if len(part) >= 2]
+    return tuple(found)

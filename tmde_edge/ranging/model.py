@@ -1,0 +1,193 @@
+"""From a standard and one sighting to what the joint fit expects: which glyph is of which height, priors on all sizes."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tmde_edge.geometry.planar import poses_of_rays, rectangle_mm
+from tmde_edge.plates.standard import PlateStandard
+from tmde_edge.ranging.features import Features, clusters
+from tmde_edge.ranging.fit import LEAN, LOG_D, POSE, ROLL, YAW, Model, U, V
+from tmde_edge.ranging.scale_memory import Sizes, TrackScale
+from tmde_edge.ranging.settings import RangingSettings
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+# What is assumed where a standard says nothing: no information, but the track can learn it.
+UNKNOWN_SIGMA = 0.25
+UNKNOWN_GLYPH_OF_HEIGHT = 0.62
+UNKNOWN_PITCH_OF_GLYPH = 0.70
+UNKNOWN_OUTLINE_MM = (520.0, 111.0)
+
+_CLASS_SIGMA = 0.06  # a glyph's log height about its class, when classes are told apart
+_NO_CLASS = 3.0  # sigmas at which a glyph belongs to no class
+_SCALE_SIGMA = 0.10  # of the distance that the outline suggests
+_TALL_MISSING = 2.0  # cost of having seen small characters only
+
+
+@dataclass(frozen=True, slots=True)
+class Expectation:
+    """A standard's sizes as means and one-sigma logs, in metres: classes first, then width, height, pitch."""
+
+    standard: PlateStandard
+    keys: tuple[str, ...]
+    size_m: Floats  # (k + 3,)
+    sizes: Sizes  # prior about log(true or visible size / size_m)
+    has_outline: bool
+    has_glyph: bool
+    has_pitch: bool
+
+    @property
+    def classes(self) -> int:
+        return len(self.keys)
+
+
+def expectation(standard: PlateStandard, settings: RangingSettings) -> Expectation:
+    """Priors of one standard; the outline's include where it is seen (frames, lips), the standard's tolerances all."""
+    outline = standard.outline_belief()
+    main = standard.main_key
+    distinct: dict[str, tuple[float, float]] = {}
+    for key in sorted(standard.glyphs, key=lambda k: k != main):
+        height = standard.glyphs[key].height
+        if height is None:
+            continue
+        mean, sigma = height.belief("glyph_height")
+        # Classes nearer than a few per cent cannot be told apart: they share one height.
+        if all(abs(np.log(mean / other)) > 0.05 for other, _ in distinct.values()):
+            distinct[key] = (mean, sigma)
+    has_glyph = main in distinct
+    if not has_glyph:
+        guess = UNKNOWN_GLYPH_OF_HEIGHT * (outline[1][0] if outline else UNKNOWN_OUTLINE_MM[1])
+        distinct = {main: (guess, UNKNOWN_SIGMA * guess)}
+    heights = list(distinct.values())
+    if outline is None:
+        w, h = UNKNOWN_OUTLINE_MM
+        outline_sizes = [(w, UNKNOWN_SIGMA * w), (h, UNKNOWN_SIGMA * h)]
+    else:
+        frame = 2**0.5 * settings.outline_sigma_mm
+        outline_sizes = [(m, float(np.hypot(s, frame))) for m, s in outline]
+    guess = UNKNOWN_PITCH_OF_GLYPH * heights[0][0]
+    pitch = standard.pitch_belief() or (guess, UNKNOWN_SIGMA * guess)
+    every = np.array([*heights, *outline_sizes, pitch])
+    relative = every[:, 1] / every[:, 0]
+    return Expectation(
+        standard=standard, keys=tuple(distinct), size_m=every[:, 0] / 1000, has_outline=outline is not None, has_glyph=has_glyph,
+        has_pitch=standard.pitch_belief() is not None, sizes=Sizes(np.zeros(len(every)), np.diag(relative**2)),
+    )
+
+
+def size_bias(expected: Expectation, features: Features, settings: RangingSettings) -> Floats:
+    """Variance (m,) of log sizes from errors common to one frame: edges that all lie a bit outside, in pixels."""
+    k = expected.classes
+    out = np.zeros(k + 3)
+    typical = float(np.median(features.heights)) if len(features.heights) else 0.05
+    out[:k] = (2 * settings.glyph_bias_px / (typical * features.focal_px)) ** 2
+    for place, side in ((k, features.width), (k + 1, features.height)):
+        if side is not None:
+            out[place] = (2**0.5 * settings.outline_bias_px / (side * features.focal_px)) ** 2
+    return np.minimum(out, 0.25)
+
+
+def first_distance_m(expected: Expectation, features: Features) -> float | None:
+    """A rough distance from the longest thing seen: plate width, else height, else the tallest characters."""
+    k = expected.classes
+    guesses = []
+    if expected.has_outline:
+        guesses = [expected.size_m[k + i] / side for i, side in enumerate((features.width, features.height)) if side]
+    if guesses:
+        return float(np.exp(np.mean(np.log(guesses))))
+    if len(features.heights):
+        tallest = clusters(np.log(features.heights))[0]
+        return float(expected.size_m[0] / np.median(features.heights[tallest]))
+    return None
+
+
+def assign_classes(expected: Expectation, features: Features, distance_m: float) -> tuple[Ints, float]:
+    """Class index per glyph (n,), -1 for none, and the cost of the best reading (chi-square like).
+
+    Every pairing of a cluster of heights with a class fixes a common scale; the scale that explains most wins. So a
+    wrong outline (a float width, a frame) does not turn 58 mm letters into 76 mm digits.
+    """
+    heights = features.heights
+    if not len(heights):
+        return np.zeros(0, dtype=np.int64), 0.0
+    log_mm = np.log(heights * distance_m)
+    classes = np.log(expected.size_m[: expected.classes])
+    anchored = (expected.has_outline and bool(features.corner_ok.sum() >= 2)) and expected.has_glyph
+    # A glyph that cannot be seen to a tenth of its height cannot be told by it either.
+    sigma = np.hypot(_CLASS_SIGMA, 1.4 * features.sigma_tb / heights)
+    best_cost, best = np.inf, np.zeros(len(heights), dtype=np.int64)
+    for cluster, value in itertools.product(clusters(log_mm), classes):
+        scale = float(value - np.median(log_mm[cluster]))
+        distance = np.abs(log_mm[:, None] + scale - classes[None]) / sigma[:, None]
+        choice = distance.argmin(axis=1)
+        off = distance[np.arange(len(heights)), choice]
+        cost = float(np.sum(np.minimum(off, _NO_CLASS) ** 2))
+        if anchored:
+            cost += (scale / _SCALE_SIGMA) ** 2
+        chosen = np.where(off < _NO_CLASS, choice, -1)
+        if not (chosen == 0).any():
+            cost += _TALL_MISSING
+        if cost < best_cost:
+            best_cost, best = cost, chosen.astype(np.int64)
+    return best, best_cost
+
+
+def build_model(expected: Expectation, features: Features, known: Sizes, bias: Floats, glyph_class: Ints,
+                distance_m: float, state: TrackScale | None, age_s: float, settings: RangingSettings) -> Model:
+    """The fit's model with all priors: angles (learned where a track is followed), position, sizes."""
+    k = expected.classes
+    p = POSE + k + 3
+    mean, information = np.zeros(p), np.zeros((p, p))
+    sigma_yaw, sigma_lean = settings.yaw_sigma_rad, settings.lean_sigma_rad
+    if state is not None:
+        turned = settings.yaw_rate_sigma_radps * max(age_s, 0.0)
+        sigma_yaw = min(float(np.hypot(state.yaw_sigma_rad, turned)), sigma_yaw)
+        sigma_lean = min(float(np.hypot(state.lean_sigma_rad, 0.3 * turned)), sigma_lean)
+        mean[YAW], mean[LEAN] = state.yaw_rad, state.lean_rad
+    reach = expected.size_m[k] / distance_m
+    mean[U], mean[V], mean[LOG_D] = features.centre[0], features.centre[1], np.log(distance_m)
+    sigma = np.array([sigma_yaw, sigma_lean, settings.roll_sigma_rad, reach, reach, 5.0])
+    information[np.arange(POSE), np.arange(POSE)] = sigma**-2
+    information[POSE:, POSE:] = np.linalg.inv(known.covariance + np.diag(bias))
+    mean[POSE:] = known.mean
+    return Model(
+        class_height_m=expected.size_m[:k], width_m=float(expected.size_m[k]), height_m=float(expected.size_m[k + 1]),
+        pitch_m=float(expected.size_m[k + 2]), glyph_class=glyph_class, glyph_jitter=settings.glyph_jitter,
+        pitch_jitter_m=settings.pitch_jitter_mm / 1000, mean=mean, information=information,
+    )
+
+
+def starts(expected: Expectation, features: Features, model: Model, state: TrackScale | None) -> list[Floats]:
+    """Starting points (p,): the track's last pose; without one, both planar solutions, or the plate facing us."""
+    facing = model.mean.copy()
+    facing[ROLL] = _row_slope(features)
+    if state is not None and state.yaw_sigma_rad < 0.15:
+        return [facing]
+    k = expected.classes
+    found = []
+    if features.corner_ok.all():
+        rectangle = rectangle_mm(1000 * model.width_m, 1000 * model.height_m)
+        for pose in poses_of_rays(rectangle, features.corners):
+            x = facing.copy()
+            r, t = pose.rotation, pose.translation_mm / 1000
+            x[YAW], x[LEAN] = np.arctan2(r[0, 2], r[2, 2]), np.arcsin(np.clip(r[1, 2], -1, 1))
+            x[ROLL] = np.arctan2(r[1, 0], r[1, 1])
+            x[U], x[V], x[LOG_D] = t[0] / t[2], t[1] / t[2], np.log(t[2])
+            x[LOG_D] += model.mean[POSE + k]
+            if abs(x[YAW]) < 1.2 and abs(x[LEAN]) < 0.8:
+                found.append(x)
+    return found or [facing]
+
+
+def _row_slope(features: Features) -> float:
+    ends = [(a, b) for a, b in ((0, 1), (3, 2)) if features.corner_ok[a] and features.corner_ok[b]]
+    if not ends:
+        return 0.0
+    d = sum((features.corners[b] - features.corners[a] for a, b in ends), np.zeros(2))
+    return float(np.clip(np.arctan2(d[1], d[0]), -0.5, 0.5))

@@ -1,0 +1,256 @@
+"""From one sighting of a plate to its distance with an honest sigma: READ THIS FILE FIRST.
+
+`Ranger.measure` looks at which standards are possible (classify), fits each of them jointly (model, fit), mixes their
+answers by belief, and learns the track's proportions (scale_memory). `method = "paper"` fuses the paper's cues instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tmde_edge.geometry.pinhole import Camera
+from tmde_edge.messages import CueRange, PlateSighting, RangeMeasurement
+from tmde_edge.plates.standard import PlateStandard
+from tmde_edge.ranging import cues, fuse
+from tmde_edge.ranging.classify import StandardClass, classes, layout_log_likelihood, shape_log_likelihood
+from tmde_edge.ranging.features import Features, clusters, gather
+from tmde_edge.ranging.fit import LEAN, LOG_D, POSE, ROLL, YAW, Fit, U, V, solve
+from tmde_edge.ranging.model import assign_classes, build_model, first_distance_m, size_bias, starts
+from tmde_edge.ranging.scale_memory import Sizes, TrackScale, carried_belief, learn
+from tmde_edge.ranging.settings import RangingSettings
+
+Floats = NDArray[np.float64]
+
+_AMBIGUOUS_COST = 9.0  # a second pose within this cost of the best is kept in the mixture
+_MISFIT_SIGMAS = 5.0  # a plate whose proportions differ this much from the learned ones is another plate
+_MISFITS_TO_RESET = 3
+_UNASSIGNED_COST = 9.0  # of a glyph that fits no class of a standard
+
+
+@dataclass(frozen=True, slots=True)
+class _Answer:
+    """One standard's answer: mean and variances of log distance, the fit behind it, and its evidence."""
+
+    group: StandardClass
+    log_d: float
+    noise_var: float
+    prior_var: float
+    fit: Fit
+    glyph_class: NDArray[np.int64]
+    evidence: float
+    yaw_sigma_rad: float
+    known: Sizes
+    bias: Floats
+
+
+class Ranger:
+    """Ranges plates of the given standards; holds no state between calls but its constant tables."""
+
+    def __init__(self, settings: RangingSettings, standards: Sequence[PlateStandard]) -> None:
+        """Raises ValueError for an empty list of standards."""
+        if not standards:
+            raise ValueError("a ranger needs at least one plate standard")
+        self.settings = settings
+        self._classes = {c.id: c for c in classes(standards, settings)}
+        total = sum(c.weight for c in self._classes.values())
+        self._log_prior = {k: float(np.log(c.weight / total)) for k, c in self._classes.items()}
+
+    def measure(
+        self, plate: PlateSighting, camera: Camera, view_from_vehicle: Floats, t_ns: int, state: TrackScale | None = None,
+    ) -> tuple[RangeMeasurement | None, TrackScale, str | None]:
+        """Distance of one plate, the track's memory after it, and where there is no distance the reason.
+
+        `state` is what the last call returned for this track; None for a still or a new track. A memory of another
+        track is ignored.
+        """
+        features = gather(plate, camera, np.asarray(view_from_vehicle, dtype=np.float64))
+        known = state if state is not None and state.track_id == plate.track_id else None
+        empty = known or TrackScale(track_id=plate.track_id, t_ns=t_ns, log_belief={}, sizes={})
+        reason = self._too_little(features, plate)
+        if reason:
+            return None, empty, reason
+        answers = self._fit_all(plate, features, known, t_ns)
+        if known is not None and known.misfits + 1 >= _MISFITS_TO_RESET and self._misfit(answers):
+            known = None
+            answers = self._fit_all(plate, features, None, t_ns)
+        if not answers:
+            return None, empty, "no planar pose fits what was seen"
+        belief = self._belief(answers, known)
+        after = self._remember(answers, belief, known, plate, t_ns)
+        range_, reason = self._result(plate, camera, features, answers, belief, t_ns)
+        return range_, after, reason
+
+    def _too_little(self, features: Features, plate: PlateSighting) -> str | None:
+        width = features.width
+        glyph = float(features.heights.max()) if len(features.heights) else features.char_height
+        s = self.settings
+        small_width = width is None or width * features.focal_px < s.min_plate_width_px
+        small_glyph = glyph is None or glyph * features.focal_px < s.min_char_height_px
+        if small_width and small_glyph:
+            if width is None and glyph is None:
+                if features.height is not None and features.height * features.focal_px >= s.min_plate_width_px:
+                    return None
+                return "plate is cut by the frame and no whole character is left" if plate.cut else "nothing measurable"
+            seen = f"{0.0 if width is None else width * features.focal_px:.1f} px wide"
+            return f"too small: {seen}, below {s.min_plate_width_px:g} px, and its characters below {s.min_char_height_px:g} px"
+        return None
+
+    def _fit_all(self, plate: PlateSighting, features: Features, known: TrackScale | None, t_ns: int) -> list[_Answer]:
+        layout = {k: layout_log_likelihood(c, plate, features) for k, c in self._classes.items()}
+        if known is not None and known.log_belief:
+            first = dict(known.log_belief)
+        else:
+            first = {k: self._log_prior[k] + layout[k] + shape_log_likelihood(c, features) for k, c in self._classes.items()}
+        order = sorted(first, key=lambda k: -first[k])
+        best = first[order[0]]
+        floor = float(np.log(self.settings.belief_floor)) - (0.0 if known is not None else 3.0)
+        worth = [k for k in order if first[k] - best > floor][: self.settings.max_fits]
+        found = []
+        for key in worth:
+            answer = self._fit(self._classes[key], features, known, t_ns, layout[key])
+            if answer is not None:
+                found.append(answer)
+        return found
+
+    def _fit(self, group: StandardClass, features: Features, known: TrackScale | None, t_ns: int,
+             layout: float) -> _Answer | None:
+        expected = group.expected
+        distance = first_distance_m(expected, features)
+        if distance is None:
+            return None
+        glyph_class, _ = assign_classes(expected, features, distance)
+        learned = known.sizes.get(group.id) if known is not None and self.settings.memory else None
+        sizes = learned or expected.sizes
+        bias = size_bias(expected, features, self.settings)
+        age_s = (t_ns - known.t_ns) * 1e-9 if known is not None else 0.0
+        model = build_model(expected, features, sizes, bias, glyph_class, distance, known, age_s, self.settings)
+        fits = [f for x in starts(expected, features, model, known) if (f := solve(features, model, x)) is not None]
+        if not fits:
+            return None
+        fits.sort(key=lambda f: f.cost)
+        fits = [f for f in fits if f.cost < fits[0].cost + _AMBIGUOUS_COST]
+        if len(fits) > 1 and np.abs(fits[1].x[:POSE] - fits[0].x[:POSE]).max() < 1e-3:
+            fits = fits[:1]
+        best = fits[0]
+        weights = [float(np.exp(-0.5 * (f.cost - best.cost))) for f in fits]
+        log_d, spread = fuse.mixture(weights, [f.x[LOG_D] for f in fits], [0.0] * len(fits))
+        _, yaw_sigma = fuse.mixture(weights, [f.x[YAW] for f in fits], [f.covariance[YAW, YAW] ** 0.5 for f in fits])
+        lost = float(np.sum(glyph_class < 0)) * _UNASSIGNED_COST
+        return _Answer(
+            group=group, log_d=log_d, noise_var=float(best.noise[LOG_D, LOG_D]) + spread**2,
+            prior_var=float(best.prior[LOG_D, LOG_D]), fit=best, glyph_class=glyph_class,
+            evidence=best.evidence - 0.5 * lost + layout, yaw_sigma_rad=yaw_sigma, known=sizes, bias=bias,
+        )
+
+    def _belief(self, answers: list[_Answer], known: TrackScale | None) -> dict[str, float]:
+        """Log belief over the classes that were fitted."""
+        if known is not None and known.log_belief:
+            share = self.settings.memory_share
+            prior = {a.group.id: known.log_belief.get(a.group.id, -9.0) for a in answers}
+        else:
+            share, prior = 1.0, {a.group.id: self._log_prior[a.group.id] for a in answers}
+        return carried_belief(prior, {a.group.id: share * a.evidence for a in answers})
+
+    def _misfit(self, answers: list[_Answer]) -> bool:
+        """Whether even the best standard's learned proportions are far from what is seen."""
+        return all(_contradiction(a) > _MISFIT_SIGMAS for a in answers)
+
+    def _remember(self, answers: list[_Answer], belief: dict[str, float], known: TrackScale | None, plate: PlateSighting,
+                  t_ns: int) -> TrackScale:
+        sizes = dict(known.sizes) if known is not None else {}
+        share = self.settings.memory_share
+        for a in answers:
+            cov = a.fit.covariance[POSE:, POSE:]
+            sizes[a.group.id] = learn(a.known, a.bias, a.fit.x[POSE:], cov, share)
+        best = max(answers, key=lambda a: belief[a.group.id])
+        misfits = known.misfits + 1 if known is not None and self._misfit(answers) else 0
+        return TrackScale(
+            track_id=plate.track_id, t_ns=t_ns, log_belief=belief, sizes=sizes, yaw_rad=float(best.fit.x[YAW]),
+            yaw_sigma_rad=best.yaw_sigma_rad, lean_rad=float(best.fit.x[LEAN]),
+            lean_sigma_rad=float(best.fit.covariance[LEAN, LEAN] ** 0.5), roll_rad=float(best.fit.x[ROLL]),
+            frames=(known.frames if known is not None else 0) + 1, misfits=misfits,
+        )
+
+    def _result(self, plate: PlateSighting, camera: Camera, features: Features, answers: list[_Answer], belief: dict[str, float],
+                t_ns: int) -> tuple[RangeMeasurement | None, str | None]:
+        s = self.settings
+        best = max(answers, key=lambda a: belief[a.group.id])
+        x = best.fit.x
+        measured = self._cues(features, best)
+        if s.method == "paper":
+            fused = _paper(measured, s.fusion)
+            if fused is None:
+                return None, "none of the paper's cues is measured"
+            distance, noise, prior_var, used = fused
+            noise_var = (noise / distance) ** 2
+        else:
+            weights = [float(np.exp(belief[a.group.id])) for a in answers]
+            mean, spread = fuse.mixture(weights, [a.log_d for a in answers], [0.0] * len(answers))
+            total = sum(weights)
+            noise_var = sum(w * a.noise_var for w, a in zip(weights, answers, strict=True)) / total
+            prior_var = sum(w * a.prior_var for w, a in zip(weights, answers, strict=True)) / total + spread**2
+            distance = float(np.exp(mean))
+            used = _used_by_fit(best)
+        scale_sigma = float(np.hypot(prior_var**0.5, camera.focal_sigma))
+        relative = float(np.hypot(scale_sigma, noise_var**0.5))
+        if not np.isfinite(distance) or not np.isfinite(relative):
+            return None, "the fit did not end at a finite distance"
+        if relative > s.max_relative_sigma:
+            return None, f"too uncertain: one sigma is {100 * relative:.0f} % of the distance"
+        if not s.min_distance_m <= distance <= s.max_distance_m:
+            return None, f"{distance:.2f} m lies outside {s.min_distance_m:g} to {s.max_distance_m:g} m"
+        lateral_sigma = distance * float(np.hypot(best.fit.covariance[U, U] ** 0.5, x[U] * relative))
+        return RangeMeasurement(
+            track_id=plate.track_id, t_ns=t_ns, distance_m=distance, sigma_m=distance * relative,
+            noise_m=distance * noise_var**0.5, scale_sigma=scale_sigma, lateral_m=distance * float(x[U]),
+            lateral_sigma_m=lateral_sigma, down_m=distance * float(x[V]), yaw_rad=float(x[YAW]), standard=best.group.id,
+            belief=min(1.0, float(np.exp(belief[best.group.id]))),
+            cues=tuple(_with_focal(c.as_range(c.name in used), camera.focal_sigma) for c in measured),
+        ), None
+
+    def _cues(self, features: Features, answer: _Answer) -> tuple[cues.Cue, ...]:
+        tall = answer.glyph_class == 0
+        if not tall.any() and len(features.heights):
+            tall = np.zeros(len(features.heights), dtype=bool)
+            tall[clusters(np.log(features.heights))[0]] = answer.group.expected.classes == 1
+        return cues.all_cues(features, answer.group.expected.standard, tall, self.settings)
+
+
+def _contradiction(answer: _Answer) -> float:
+    """How many sigmas the fitted sizes were pulled from the known ones, in the worst direction."""
+    blurred = np.sqrt(answer.known.covariance.diagonal() + answer.bias)
+    return float(np.max(np.abs(answer.fit.x[POSE:] - answer.known.mean) / blurred))
+
+
+def _used_by_fit(answer: _Answer) -> frozenset[str]:
+    expected, fit = answer.group.expected, answer.fit
+    used = set()
+    if expected.has_glyph and fit.glyphs_used:
+        used.add("char_height")
+    if expected.has_outline and fit.corners_used >= 2:
+        used |= {"plate_width", "plate_height"}
+    if expected.has_pitch and fit.pitch_used:
+        used.add("char_spacing")
+    return frozenset(used)
+
+
+def _paper(measured: tuple[cues.Cue, ...], fusion: bool) -> tuple[float, float, float, frozenset[str]] | None:
+    """Distance, its noise, relative variance from the true sizes, and the cues used, as the paper fuses them."""
+    names = cues.PAPER_CUES if fusion else ("char_height",)
+    chosen = [c for c in measured if c.name in names] or [c for c in measured if c.name == "plate_width"]
+    if not chosen:
+        return None
+    distance, sigma = fuse.inverse_variance([c.distance_m for c in chosen], [c.sigma_m for c in chosen])
+    weights = np.array([c.sigma_m**-2 for c in chosen])
+    weights /= weights.sum()
+    noise = float(np.sqrt(np.sum((weights * [c.noise_m for c in chosen]) ** 2)))
+    return distance, noise, max(sigma**2 - noise**2, 0.0) / distance**2, frozenset(c.name for c in chosen)
+
+
+def _with_focal(cue: CueRange, focal_sigma: float) -> CueRange:
+    sigma = float(np.hypot(cue.sigma_m, focal_sigma * cue.distance_m))
+    return CueRange(cue=cue.cue, distance_m=cue.distance_m, sigma_m=sigma, used=cue.used)

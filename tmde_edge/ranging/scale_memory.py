@@ -1,0 +1,67 @@
+"""What a track has learned: which standard, and the plate's own proportions (design part 3, item 5).
+
+The sizes of one plate are a Gaussian over log(true / nominal), one per standard. A near frame narrows their ratios (the
+height of a character against the plate's height); the overall scale stays as uncertain as the standard leaves it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Sizes:
+    """Mean (m,) and covariance (m, m) of log(true size / nominal): glyph classes, plate width, plate height, pitch."""
+
+    mean: Floats
+    covariance: Floats
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrackScale:
+    """One track's memory; immutable. Angles in the vehicle's axes, rad."""
+
+    track_id: int
+    t_ns: int
+    log_belief: dict[str, float]
+    sizes: dict[str, Sizes]
+    yaw_rad: float = 0.0
+    yaw_sigma_rad: float = 1.0
+    lean_rad: float = 0.0
+    lean_sigma_rad: float = 1.0
+    roll_rad: float = 0.0
+    frames: int = 0
+    misfits: int = 0  # frames in a row that contradict what was learned
+
+
+def learn(known: Sizes, bias: Floats, fitted_mean: Floats, fitted_covariance: Floats, share: float) -> Sizes:
+    """Sizes after one frame whose fit saw `known` blurred by a per-frame bias of variance `bias` (m,).
+
+    Only `share` of the frame's information counts: neighbouring frames repeat the same errors. With S known, B the
+    bias and C the fit's posterior of the blurred sizes: S' = S - G (S + B - C') G^T, G = S (S + B)^-1, where C' holds
+    the shared information, C'^-1 = (S + B)^-1 + share (C^-1 - (S + B)^-1).
+    """
+    blurred = known.covariance + np.diag(bias)
+    before = np.linalg.inv(blurred)
+    gained = np.linalg.inv(fitted_covariance) - before
+    after = np.linalg.inv(before + share * gained)
+    # Solve for the measurement's mean: C^-1 m = before m0 + gained z.
+    pull = np.linalg.inv(fitted_covariance) @ fitted_mean - before @ known.mean
+    mean = after @ (before @ known.mean + share * pull)
+    gain = known.covariance @ before
+    covariance = known.covariance - gain @ (blurred - after) @ gain.T
+    return Sizes(known.mean + gain @ (mean - known.mean), (covariance + covariance.T) / 2)
+
+
+def carried_belief(log_prior: dict[str, float], evidence: dict[str, float], floor: float = -9.0) -> dict[str, float]:
+    """Log belief after adding evidence, normalised; nothing falls so low that it could not come back."""
+    total = {k: v + evidence[k] for k, v in log_prior.items() if k in evidence}
+    best = max(total.values())
+    kept = {k: max(v - best, floor) for k, v in total.items()}
+    norm = float(np.log(sum(np.exp(v) for v in kept.values())))
+    return {k: v - norm for k, v in kept.items()}

@@ -1,0 +1,35 @@
+"""The `[ranging]` table."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import msgspec
+
+Positive = Annotated[float, msgspec.Meta(gt=0)]
+NotNegative = Annotated[float, msgspec.Meta(ge=0)]
+
+
+class RangingSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How a plate becomes a distance. The defaults are derived in docs/ranging.md."""
+
+    method: Literal["joint", "paper"] = "joint"
+    fusion: bool = True  # "paper": False takes the character height alone
+    min_plate_width_px: Positive = 16.0  # below this width and below min_char_height_px: not ranged
+    min_char_height_px: Positive = 4.5
+    max_relative_sigma: Positive = 0.25  # a distance less certain than this is no answer
+    min_distance_m: Positive = 0.15
+    max_distance_m: Positive = 200.0
+    outline_sigma_mm: NotNegative = 2.5  # where the seen outline lies against the legal edge: frames, lips, screws
+    outline_bias_px: NotNegative = 0.12  # common error of opposite plate edges
+    glyph_bias_px: NotNegative = 0.05  # common outward error of all top and bottom edges (threshold, blur)
+    glyph_jitter: NotNegative = 0.010  # relative height differences between characters of one class
+    pitch_jitter_mm: NotNegative = 1.5  # ink is not centred in its cell
+    yaw_sigma_rad: Positive = 0.30  # heading of a plate nothing is known of
+    lean_sigma_rad: Positive = 0.12  # plates lean with the boot lid
+    roll_sigma_rad: Positive = 0.10
+    yaw_rate_sigma_radps: Positive = 0.15  # how fast a followed plate may turn
+    belief_floor: Positive = 0.02  # standards less probable than this are not fitted
+    max_fits: Annotated[int, msgspec.Meta(ge=1, le=16)] = 4  # how many standards are fitted to one plate
+    memory: bool = True  # learn a track's own proportions
+    memory_share: Annotated[float, msgspec.Meta(gt=0, le=1)] = 0.2  # information of one frame that is new to a track
