@@ -49,7 +49,9 @@ def classes(standards: Sequence[PlateStandard], settings: RangingSettings) -> tu
 
 
 def _same(a: Expectation, b: Expectation) -> bool:
-    if a.keys and len(a.keys) != len(b.keys) or (a.has_glyph, a.has_outline, a.has_pitch) != (b.has_glyph, b.has_outline, b.has_pitch):
+    if len(a.keys) != len(b.keys):
+        return False
+    if (a.has_glyph, a.has_outline, a.has_pitch) != (b.has_glyph, b.has_outline, b.has_pitch):
         return False
     if a.standard.width_floats != b.standard.width_floats or a.standard.light_on_dark != b.standard.light_on_dark:
         return False

@@ -46,7 +46,7 @@ class Features:
     @property
     def heights(self) -> Floats:
         """Top to bottom of every glyph (n,), normalised."""
-        return np.sqrt(np.sum((self.bottom - self.top) ** 2, axis=1))
+        return np.asarray(np.sqrt(np.sum((self.bottom - self.top) ** 2, axis=1)), dtype=np.float64)
 
     @property
     def width(self) -> float | None:
@@ -110,10 +110,8 @@ def _rays(camera: Camera, view_from_vehicle: Floats, pixels: Floats) -> Floats:
 
 
 def _whole(points: tuple[tuple[float, float], ...], camera: Camera) -> bool:
-    return all(
-        EDGE_MARGIN_PX <= x <= camera.width_px - 1 - EDGE_MARGIN_PX and EDGE_MARGIN_PX <= y <= camera.height_px - 1 - EDGE_MARGIN_PX
-        for x, y in points
-    )
+    right, low = camera.width_px - 1 - EDGE_MARGIN_PX, camera.height_px - 1 - EDGE_MARGIN_PX
+    return all(EDGE_MARGIN_PX <= x <= right and EDGE_MARGIN_PX <= y <= low for x, y in points)
 
 
 def _norm(value_px: float | None, focal_px: float) -> float | None:

@@ -20,7 +20,7 @@ Ints = NDArray[np.int64]
 
 # What is assumed where a standard says nothing: no information, but the track can learn it.
 UNKNOWN_SIGMA = 0.25
-UNKNOWN_GLYPH_OF_HEIGHT = 0.62
+UNKNOWN_GLYPH_OF_HEIGHT = (0.66, 0.36)  # of plates with one row, with two
 UNKNOWN_PITCH_OF_GLYPH = 0.70
 UNKNOWN_OUTLINE_MM = (520.0, 111.0)
 
@@ -62,7 +62,8 @@ def expectation(standard: PlateStandard, settings: RangingSettings) -> Expectati
             distinct[key] = (mean, sigma)
     has_glyph = main in distinct
     if not has_glyph:
-        guess = UNKNOWN_GLYPH_OF_HEIGHT * (outline[1][0] if outline else UNKNOWN_OUTLINE_MM[1])
+        share = UNKNOWN_GLYPH_OF_HEIGHT[min(len(standard.rows), 2) - 1]
+        guess = share * (outline[1][0] if outline else UNKNOWN_OUTLINE_MM[1])
         distinct = {main: (guess, UNKNOWN_SIGMA * guess)}
     heights = list(distinct.values())
     if outline is None:
