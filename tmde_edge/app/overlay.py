@@ -24,7 +24,7 @@ FONT = cv2.FONT_HERSHEY_SIMPLEX
 MIN_HEIGHT_PX = 540  # smaller pictures are enlarged, or the text would cover them
 
 
-def annotate(image: Image, result: FrameResult | None, camera: Camera | None = None, error: str | None = None) -> Image:
+def draw(image: Image, result: FrameResult | None, camera: Camera | None = None, error: str | None = None) -> Image:
     """A new BGR picture with everything drawn in; pictures lower than 540 px come back enlarged by a whole factor.
 
     `camera` is the calibration (any size of the same aspect); without it no horizon is drawn. `result` None: only

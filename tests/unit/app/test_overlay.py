@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from tmde_edge.app.overlay import ALERT_COLOURS, annotate, lead_lines
+from tmde_edge.app.overlay import ALERT_COLOURS, draw, lead_lines
 from tmde_edge.geometry.pinhole import Camera
 from tmde_edge.messages import (
     Alert,
@@ -52,7 +52,7 @@ def result(level: AlertLevel = "none") -> FrameResult:
 @pytest.mark.parametrize("level", ["none", "caution", "warning"])
 def test_the_lead_plate_and_the_banner_have_the_colour_of_the_alert(level: AlertLevel) -> None:
     source = np.full((720, 1280, 3), 128, np.uint8)
-    picture = annotate(source, result(level), CAMERA)
+    picture = draw(source, result(level), CAMERA)
     assert (source == 128).all()
     for x in (640, 660, 680):
         assert np.abs(picture[410, x].astype(int) - ALERT_COLOURS[level]).max() < 40
@@ -62,17 +62,17 @@ def test_the_lead_plate_and_the_banner_have_the_colour_of_the_alert(level: Alert
 
 def test_the_horizon_lies_where_the_pose_says() -> None:
     source = np.zeros((720, 1280, 3), np.uint8)
-    with_pose = annotate(source, result(), CAMERA)
+    with_pose = draw(source, result(), CAMERA)
     changed = np.argwhere(with_pose[200:500, 300:560].max(axis=2) > 60)
     row = 359.5 - 1200 * np.tan(0.02)  # nose down: the horizon rises
     assert np.abs(changed[:, 0] + 200 - row).max() < 3
     none = dataclasses.replace(result(), pose=Pose(pitch_rad=0.0, roll_rad=0.0, source="none"))
-    assert not annotate(source, none, CAMERA)[200:380, 300:560].any()
+    assert not draw(source, none, CAMERA)[200:380, 300:560].any()
 
 
 def test_a_small_grey_picture_is_enlarged_so_that_the_text_stays_readable() -> None:
     small = dataclasses.replace(result(), plates=())
-    picture = annotate(np.full((240, 320), 90, np.uint8), small, None)
+    picture = draw(np.full((240, 320), 90, np.uint8), small, None)
     assert picture.shape == (720, 960, 3)
 
 
@@ -80,15 +80,15 @@ def test_drawing_on_an_enlarged_picture_keeps_pixel_centres() -> None:
     corners = ((10.0, 60.0), (40.0, 60.0), (40.0, 70.0), (10.0, 70.0))
     plate = dataclasses.replace(PLATE, corners_px=corners, glyphs=())
     one = dataclasses.replace(result("warning"), plates=(PlateResult(sighting=plate, range=None, lead=True, not_ranged="cut"),))
-    picture = annotate(np.zeros((200, 300, 3), np.uint8), one, None)  # factor 3: source row 70 is centred on 211
+    picture = draw(np.zeros((200, 300, 3), np.uint8), one, None)  # factor 3: source row 70 is centred on 211
     rows = np.flatnonzero((picture[:300, 60] == ALERT_COLOURS["warning"]).all(axis=1))
     assert rows.mean() == pytest.approx((60 + 70) / 2 * 3 + 1, abs=1)
 
 
 def test_nothing_known_is_drawn_without_numbers() -> None:
     empty = dataclasses.replace(result(), plates=(), lead=None, ego=None, faults=(), alert=Alert())
-    assert annotate(np.zeros((720, 1280, 3), np.uint8), empty, None).any()
-    assert annotate(np.zeros((720, 1280, 3), np.uint8), None, None, "damaged frame").any()
+    assert draw(np.zeros((720, 1280, 3), np.uint8), empty, None).any()
+    assert draw(np.zeros((720, 1280, 3), np.uint8), None, None, "damaged frame").any()
 
 
 def test_the_lead_in_words() -> None:
