@@ -16,7 +16,7 @@ import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
-from tmde_edge.geometry.pinhole import Camera
+from tmde_edge.geometry.pinhole import Camera, view_from_vehicle
 from tmde_edge.messages import DepthEstimate, DepthReading, Pose, Sighting
 
 Positive = Annotated[float, Meta(gt=0)]
@@ -30,6 +30,7 @@ GROUND_NEAR_M, GROUND_FAR_M, GROUND_HALF_WIDTH_M = 4.0, 40.0, 1.2
 GROUND_WORTH = 6.0  # all road cells of a frame together count as so many independent points: they share the pitch
 SAME_FRAME_NS = 60_000_000  # a reading is matched to a sighting no further off than this
 BOX_MEMORY_S = 3.0  # how long the place of a hidden lead is still looked at
+DOUBTS_TO_RESET = 2
 CUT_CORRELATION = 0.3  # successive readings less alike than this are another scene
 
 
@@ -67,8 +68,7 @@ class Alignment:
     @property
     def solution(self) -> FloatArray:
         """(scale, shift)."""
-        found: FloatArray = np.linalg.solve(self.information, self.pull)
-        return found
+        return np.asarray(np.linalg.solve(self.information, self.pull), dtype=np.float64)
 
     def inverse_m(self, m: float) -> tuple[float, float]:
         """1/D (1/m) at this m, and its sigma from scale and shift alone."""
@@ -120,6 +120,7 @@ class DepthAligner:
         self._grid: FloatArray | None = None
         self._history: list[_Seen] = []
         self._last_box: dict[int, tuple[int, Box]] = {}
+        self._doubts = 0
         self._pending: DepthReading | None = None
         self._newest: _Newest | None = None
 
@@ -194,27 +195,45 @@ class DepthAligner:
         if not np.isfinite(grid).all() or float(np.ptp(grid)) <= 0.0:
             self._newest = None  # a dead reading is no distance
             return
-        if self._grid is not None and _is_cut(self._grid, grid):
-            self._alignment, self._paper_scale = None, None
-        self._grid = grid
         size_px = reading.width_px, reading.height_px
         values = {k: region_m(grid, size_px, box) for k, box in seen.boxes.items()}
-        pairs = [(values[k], d, k) for k, d in sorted(seen.ranges_m.items()) if k in values]
+        pairs = [(values[k], d) for k, d in sorted(seen.ranges_m.items()) if k in values]
+        points = self._points(pairs, grid, seen)
+        old = self._alignment
+        odd = self._grid is not None and _is_cut(self._grid, grid)
+        if odd or (old is not None and points is not None and _contradicts(old, points)):
+            self._doubts += 1
+            if self._doubts < DOUBTS_TO_RESET:  # a wrong picture is over with the next one, another scene is not
+                self._newest = None
+                return
+            self._alignment, self._paper_scale = None, None
+        self._grid, self._doubts = grid, 0
         newest = _Newest(t_ns=reading.t_ns)
         if self._settings.alignment == "paper":
             self._use_paper(pairs, values, newest)
         else:
-            ground = None
-            if self._settings.ground_points and self._height_m is not None:
-                lead_m = seen.ranges_m.get(seen.lead, seen.lead_m) if seen.lead is not None else None
-                ground = ground_points(grid, seen.camera, seen.pose, self._height_m, lead_m)
-            self._align([(m, d) for m, d, _ in pairs], ground, grid, reading.t_ns)
+            self._align(points, len(pairs), float(np.median(np.abs(grid))), reading.t_ns)
             self._judge(values, newest)
         self._newest = newest
 
-    def _use_paper(self, pairs: list[tuple[float, float, int]], values: dict[int, float], newest: _Newest) -> None:
+    def _points(self, pairs: list[tuple[float, float]], grid: FloatArray, seen: _Seen) -> Points | None:
+        """Plates first, then the road; None where nothing is known."""
+        plates = Points(
+            m=np.array([m for m, _ in pairs]),
+            inverse_m=np.array([1.0 / d for _, d in pairs]),
+            sigma=np.array([math.hypot(RANGE_SIGMA, DEPTH_SIGMA) / d for _, d in pairs]),
+            worth=np.ones(len(pairs)),
+        )
+        ground = None
+        if self._settings.ground_points and self._height_m is not None:
+            lead_m = seen.ranges_m.get(seen.lead, seen.lead_m) if seen.lead is not None else None
+            ground = ground_points(grid, seen.camera, seen.pose, self._height_m, lead_m)
+        points = plates if ground is None else _joined(plates, ground)
+        return points if len(points.m) else None
+
+    def _use_paper(self, pairs: list[tuple[float, float]], values: dict[int, float], newest: _Newest) -> None:
         """s_t = 0.9 s_{t-1} + 0.1 D_geo/d_plate with relative depth d = 1/m, and D = s d."""
-        for m, distance_m, _ in pairs:
+        for m, distance_m in pairs:
             if m <= 0.0:
                 continue
             if self._paper_scale is None:
@@ -229,30 +248,20 @@ class DepthAligner:
             if m > 0.0:
                 newest.found[key] = self._paper_scale / m, relative * self._paper_scale / m
 
-    def _align(
-        self, plates: list[tuple[float, float]], ground: Points | None, grid: FloatArray, t_ns: int
-    ) -> None:
+    def _align(self, points: Points | None, plates: int, unit: float, t_ns: int) -> None:
         old = self._alignment
         if old is not None and (t_ns - old.t_ns) * 1e-9 > 3.0 * self._settings.memory_s:
             old = None
-        plate_points = Points(
-            m=np.array([m for m, _ in plates]),
-            inverse_m=np.array([1.0 / d for _, d in plates]),
-            sigma=np.array([math.hypot(RANGE_SIGMA, DEPTH_SIGMA) / d for _, d in plates]),
-            worth=np.ones(len(plates)),
-        )
-        points = plate_points if ground is None else _joined(plate_points, ground)
-        if len(points.m) == 0:
+        if points is None:
             self._alignment = old
             return
-        if old is not None and _contradicts(old, points):
-            old = None
         if old is None:
-            if len(plates) == 0 and (ground is None or len(ground.m) < 8):
+            if plates == 0 and len(points.m) < 8:
                 self._alignment = None
                 return
-            old = _start(points, float(np.median(np.abs(grid))), t_ns)
-        self._alignment = advanced(old, points, t_ns, self._settings.memory_s, len(plates))
+            old = _start(points, unit, t_ns)
+        new = advanced(old, points, t_ns, self._settings.memory_s, plates)
+        self._alignment = None if _contradicts(new, points, limit=3.0) else new
 
     def _judge(self, values: dict[int, float], newest: _Newest) -> None:
         fit = self._alignment
@@ -274,18 +283,19 @@ def advanced(old: Alignment, points: Points, t_ns: int, memory_s: float, plates:
     """
     fade = math.exp(-max(t_ns - old.t_ns, 0) * 1e-9 / memory_s)
     rows = np.stack([points.m / old.unit, np.ones(len(points.m))], axis=1)
-    theta = old.solution
+    theta: FloatArray = old.solution
     residual_variance = old.residual_variance
     if plates and old.plates:
         error = (rows[:plates] @ theta) / points.inverse_m[:plates] - 1.0
         residual_variance += 0.15 * (float(np.median(np.minimum(error**2, 0.25))) - residual_variance)
-    information, pull = fade * old.information, fade * old.pull
+    information: FloatArray = fade * old.information
+    pull: FloatArray = fade * old.pull
     for _ in range(3):
         error = (rows @ theta - points.inverse_m) / points.sigma
         weight = points.worth * np.clip(1.0 - (error / 4.0) ** 2, 0.0, None) ** 2 / points.sigma**2
         information = fade * old.information + (rows * weight[:, None]).T @ rows
         pull = fade * old.pull + (rows * weight[:, None]).T @ points.inverse_m
-        theta = np.linalg.solve(information, pull)
+        theta = np.asarray(np.linalg.solve(information, pull), dtype=np.float64)
     return Alignment(
         t_ns=t_ns, unit=old.unit, information=information, pull=pull, residual_variance=residual_variance,
         plates=old.plates + plates,
@@ -315,14 +325,14 @@ def _start(points: Points, unit: float, t_ns: int) -> Alignment:
     return Alignment(t_ns=t_ns, unit=unit, information=information, pull=information @ np.array([scale, shift]))
 
 
-def _contradicts(fit: Alignment, points: Points) -> bool:
+def _contradicts(fit: Alignment, points: Points, limit: float = 6.0) -> bool:
     """True where most of what is known now lies far off the old fit: another scene, another network state."""
     rows = np.stack([points.m / fit.unit, np.ones(len(points.m))], axis=1)
     spread = np.sqrt(np.einsum("ij,jk,ik->i", rows, np.linalg.inv(fit.information), rows))
     error = np.abs(rows @ fit.solution - points.inverse_m) / np.hypot(points.sigma, spread)
     order = np.argsort(error)
     worth = np.cumsum(points.worth[order])
-    return float(error[order][int(np.searchsorted(worth, 0.5 * worth[-1]))]) > 6.0
+    return float(error[order][int(np.searchsorted(worth, 0.5 * worth[-1]))]) > limit
 
 
 def _joined(a: Points, b: Points) -> Points:
@@ -343,9 +353,7 @@ def ground_points(
     y_px = (np.arange(rows) + 0.5) * camera.height_px / rows - 0.5
     r, c = np.meshgrid(np.arange(rows // 3, rows), np.arange(columns), indexing="ij")
     view = camera.rays(np.stack([x_px[c.ravel()], y_px[r.ravel()]], axis=1))
-    from tmde_edge.pose.compensate import to_vehicle
-
-    x, y, z = to_vehicle(view, pose).T
+    x, y, z = (view @ view_from_vehicle(pose.pitch_rad, pose.roll_rad, pose.yaw_rad)).T
     far_m = GROUND_FAR_M if lead_m is None else min(GROUND_FAR_M, 0.75 * lead_m)
     with np.errstate(divide="ignore", invalid="ignore"):
         distance_m = camera_height_m * z / y
