@@ -15,28 +15,28 @@ PositiveInt = Annotated[int, Meta(ge=1)]
 class DetectorSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Which finder, where and how often it looks, and when a plate counts as seen."""
 
-    kind: Literal["platenet", "contour", "onnx"] = "platenet"  # our network, the paper's Algorithm 1, a network of yours
+    kind: Literal["platenet", "contour", "onnx"] = "platenet"  # our network, the paper, a network of yours
     score_min: Fraction = 0.5  # candidates below this are not plates (strict mode)
     permissive_score_min: Fraction = 0.35  # the same in permissive mode
-    permissive_after_frames: PositiveInt = 30  # frames without a plate before the mode is permissive; strict again on success
+    permissive_after_frames: PositiveInt = 30  # without a plate: permissive; strict again on success
     confident_score: Fraction = 0.9  # a new plate this sure is reported at once; others when seen confirm_hits times
     confirm_hits: PositiveInt = 2  # sightings by the detector before a less sure plate is reported
     max_plates: PositiveInt = 8  # followed at once
 
     search_rate_hz: Positive = 10.0  # full searches a second of source time
-    search_width_px: Annotated[int, Meta(ge=64, le=4096)] = 640  # a full search sees the frame scaled down to this width
+    search_width_px: Annotated[int, Meta(ge=64, le=4096)] = 640  # full searches see the frame scaled down to this
     fovea: bool = True  # also look at the middle of the driving path at full resolution, for far plates
     fovea_width_px: Annotated[int, Meta(ge=64, le=2048)] = 384  # of that window, in source pixels
     fovea_height_px: Annotated[int, Meta(ge=64, le=2048)] = 192
     fovea_rate_hz: Positive = 10.0  # looks through the fovea a second, at frames between the full searches
-    region_margin: Positive = 1.0  # a tracked plate is looked for in its predicted box and this many plate widths round it
-    region_plate_px: Positive = 96.0  # region search scales its window so that the plate is about this wide (never enlarged)
+    region_margin: Positive = 1.0  # region search: the predicted box and this many plate widths round it
+    region_plate_px: Positive = 96.0  # region search scales the plate to about this width (never enlarged)
 
     still_second_look: bool = True  # `measure`: tiles at full resolution where the whole view shows no sure plate
     still_tiles_max: Annotated[int, Meta(ge=0, le=64)] = 12  # at most this many tiles
 
     lost_s: Positive = 0.5  # a track that only flow carries is dropped after this long without a detection
-    blind_contrast: NotNegative = 12.0  # grey levels between the darkest and brightest 2 % of the frame below which it is blind
+    blind_contrast: NotNegative = 12.0  # grey levels between darkest and brightest 2 %: less is blind
 
     # kind = "contour", Algorithm 1 of the paper
     a_min_px: Positive = 400.0  # smallest bounding-box area of a contour, square pixels
@@ -46,7 +46,7 @@ class DetectorSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
     # kind = "onnx", a detector of yours
     onnx_path: str = ""  # the file
-    onnx_format: Literal["yolo", "yolo-corners", "ssd-corners", "detr"] = "yolo"  # how its outputs are read 
+    onnx_format: Literal["yolo", "yolo-corners", "ssd-corners", "detr"] = "yolo"  # how its outputs are read
     onnx_width_px: Annotated[int, Meta(ge=0)] = 0  # input size where the graph leaves it open; 0: 640
     onnx_height_px: Annotated[int, Meta(ge=0)] = 0
     onnx_mean: list[float] = []  # subtracted from each channel, 0..255; empty: nothing
@@ -59,7 +59,7 @@ class SegmenterSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields
     """How characters are measured."""
 
     kind: Literal["glyphnet", "paper"] = "glyphnet"  # our network, or the paper's Algorithm 2 (two thresholds)
-    trim_k: Annotated[int, Meta(ge=0, le=10)] = 0  # leave out the k tallest and k shortest characters of the mean (paper: 2); 0: plain mean
+    trim_k: Annotated[int, Meta(ge=0, le=10)] = 0  # the mean leaves out the k tallest and k shortest (paper: 2)
     min_characters: Annotated[int, Meta(ge=0)] = 3  # fewer than this give no character height
     platehood_min: Fraction = 0.3  # a reader that is less sure than this that it reads a plate rejects the candidate
     refine: bool = True  # sub-pixel plate outline in the source image

@@ -1,0 +1,226 @@
+"""Lucas-Kanade features inside a plate and in the vehicle's rear round it: predicted corners and growth of the image.
+
+Everything happens in a small window round the plate; large plates are tracked at reduced scale.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from tmde_edge.vision.protocols import Image
+from tmde_edge.vision.rectify import bounds, size_px, to_grey
+from tmde_edge.vision.settings import FlowSettings
+
+Array = NDArray[np.float64]
+WIDEST_PX = 384  # of the window in tracking pixels
+MOTION_MARGIN_PX = 24  # of the window round the ring, in tracking pixels
+POINT_FLOOR_PX = 0.03  # error of one feature that residuals do not show, tracking pixels
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Template:
+    """A plate as it looked: a grey window, reduced by a whole factor; source place of its pixel (0, 0); features."""
+
+    grey: Image
+    origin_px: Array
+    reduce: int
+    corners_px: Array
+    plate_points_px: Array  # (n, 2) source pixels
+    ring_points_px: Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Growth:
+    """Image size now / then, with its sigma, from how many features."""
+
+    ratio: float
+    sigma: float
+    points: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FlowStep:
+    """Where a template went: corners (4, 2) in source pixels with the sigma of a coordinate, and the growth of plate and rear."""
+
+    corners_px: Array
+    sigma_px: float
+    plate: Growth | None
+    rear: Growth | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Similarity:
+    """q = m p + shift with complex m about given centres; see `fit_similarity`."""
+
+    matrix: Array  # (2, 3)
+    ratio: float
+    ratio_sigma: float
+    residual_px: float  # one coordinate
+    inliers: int
+
+
+def make_template(image: Image, corners_px: Array, settings: FlowSettings) -> Template | None:
+    """Features of the plate and of the ring round it; None where the plate lies outside the image."""
+    h, w = image.shape[:2]
+    height = size_px(corners_px)[1]
+    ring = settings.ring * height
+    x0, y0, x1, y1 = bounds(corners_px)
+    reduce = max(1, int(np.ceil((x1 - x0 + 2 * ring) / WIDEST_PX)))
+    scale = 1.0 / reduce
+    margin = ring + MOTION_MARGIN_PX * reduce
+    left, top = max(0, int(x0 - margin)), max(0, int(y0 - margin))
+    right, bottom = min(w, int(x1 + margin) + 2), min(h, int(y1 + margin) + 2)
+    cols, rows = (right - left) // reduce, (bottom - top) // reduce
+    if cols < 16 or rows < 12:
+        return None
+    grey, origin = _window(image, left, top, cols, rows, reduce)
+    flat = (corners_px - origin) * scale
+    inside = np.zeros(grey.shape, np.uint8)
+    cv2.fillConvexPoly(inside, np.rint(flat).astype(np.int32), 255)
+    outer = np.zeros(grey.shape, np.uint8)
+    rx0, ry0, rx1, ry1 = bounds(flat)
+    r = ring * scale
+    cv2.rectangle(outer, (int(rx0 - r), int(ry0 - r)), (int(rx1 + r), int(ry1 + r)), 255, -1)
+    grown = cv2.dilate(inside, np.ones((3, 3), np.uint8))
+    outer[grown > 0] = 0
+    plate_points = _features(grey, inside, settings, spacing_px=max(2.0, 0.12 * height * scale))
+    ring_points = _features(grey, outer, settings, spacing_px=max(3.0, 0.25 * height * scale))
+    return Template(
+        grey=grey, origin_px=origin, reduce=reduce, corners_px=corners_px,
+        plate_points_px=plate_points / scale + origin, ring_points_px=ring_points / scale + origin,
+    )  # fmt: skip
+
+
+def follow(template: Template, image: Image, guess_px: Array, settings: FlowSettings) -> FlowStep | None:
+    """Where the template is in a later image; guess_px: corners (4, 2) to start from. None where too little agrees."""
+    move = _between(template.corners_px, guess_px)
+    start = guess_px.mean(axis=0) - template.corners_px.mean(axis=0)
+    rows, cols = template.grey.shape
+    at = np.rint(template.origin_px + start)
+    grey, origin = _window(image, int(at[0]), int(at[1]), cols, rows, template.reduce)
+    results = []
+    for points in (template.plate_points_px, template.ring_points_px):
+        results.append(_track(template, grey, origin, points, move, settings))
+    plate, rear = results
+    best = plate or rear
+    if best is None:
+        return None
+    corners = template.corners_px @ best.matrix[:, :2].T + best.matrix[:, 2]
+    half = float(np.hypot(*size_px(template.corners_px))) / 2
+    shift_sigma = best.residual_px / np.sqrt(best.inliers)
+    return FlowStep(
+        corners_px=corners,
+        sigma_px=float(np.hypot(shift_sigma, best.ratio_sigma * half)),
+        plate=None if plate is None else Growth(ratio=plate.ratio, sigma=plate.ratio_sigma, points=plate.inliers),
+        rear=None if rear is None else Growth(ratio=rear.ratio, sigma=rear.ratio_sigma, points=rear.inliers),
+    )
+
+
+def fit_similarity(p: Array, q: Array, floor_px: float) -> Similarity | None:
+    """Similarity q = s R p + t by iteratively reweighted least squares (Tukey) from the median pairwise ratio.
+
+    Deterministic: no random samples. None for fewer than 3 points or when fewer than half agree.
+    """
+    n = len(p)
+    if n < 3:
+        return None
+    zp, zq = p[:, 0] + 1j * p[:, 1], q[:, 0] + 1j * q[:, 1]
+    i, j = np.triu_indices(n, 1)
+    apart = np.abs(zp[i] - zp[j])
+    wide = apart >= np.median(apart)
+    ratios = (zq[i] - zq[j])[wide] / (zp[i] - zp[j])[wide]
+    m = complex(np.median(ratios.real), np.median(ratios.imag))
+    moved = zq - m * zp
+    t = complex(np.median(moved.real), np.median(moved.imag))
+    weights = np.ones(n)
+    for _ in range(10):
+        distance = np.abs(zq - m * zp - t)
+        scale = max(1.4826 * float(np.median(distance)) / 1.177, floor_px)  # median of a Rayleigh distance is 1.177 sigma
+        weights = np.clip(1 - (distance / (4.685 * scale)) ** 2, 0, None) ** 2
+        total = weights.sum()
+        if total < 2:
+            return None
+        cp, cq = (weights * zp).sum() / total, (weights * zq).sum() / total
+        spread = (weights * np.abs(zp - cp) ** 2).sum()
+        if spread < 1e-9:
+            return None
+        m = complex((weights * (zq - cq) * (zp - cp).conj()).sum() / spread)
+        t = complex(cq - m * cp)
+    used = weights > 0.1
+    count = int(used.sum())
+    if count < 3 or count < 0.5 * n:
+        return None
+    rms = float(np.sqrt((np.abs(zq - m * zp - t)[used] ** 2).sum() / max(2 * count - 4, 1)))
+    rms = float(np.hypot(rms, floor_px))
+    centred = float((np.abs(zp[used] - zp[used].mean()) ** 2).sum())
+    return Similarity(
+        matrix=np.array([[m.real, -m.imag, t.real], [m.imag, m.real, t.imag]]),
+        ratio=abs(m), ratio_sigma=rms / float(np.sqrt(centred)), residual_px=rms, inliers=count,
+    )  # fmt: skip
+
+
+def _window(image: Image, left: int, top: int, cols: int, rows: int, reduce: int) -> tuple[Image, Array]:
+    """A grey window of rows x cols pixels, each of reduce^2 source pixels, and the source place of its pixel (0, 0).
+
+    Outside the image its border pixels are repeated.
+    """
+    h, w = image.shape[:2]
+    width, height = cols * reduce, rows * reduce
+    l_in, t_in = min(max(left, 0), w - 1), min(max(top, 0), h - 1)
+    r_in, b_in = min(max(left + width, l_in + 1), w), min(max(top + height, t_in + 1), h)
+    grey = to_grey(image[t_in:b_in, l_in:r_in])
+    pads = (max(0, t_in - top), max(0, top + height - b_in), max(0, l_in - left), max(0, left + width - r_in))
+    if any(pads):
+        grey = np.asarray(cv2.copyMakeBorder(grey, *pads, cv2.BORDER_REPLICATE), dtype=np.uint8)[:height, :width]
+    origin = np.array([left, top], np.float64) + (reduce - 1) / 2
+    if reduce == 1:
+        return grey.copy(), origin
+    return np.asarray(cv2.resize(grey, (cols, rows), interpolation=cv2.INTER_AREA), dtype=np.uint8), origin
+
+
+def _features(grey: Image, mask: Image, settings: FlowSettings, spacing_px: float) -> Array:
+    found = cv2.goodFeaturesToTrack(grey, settings.max_points, 0.02, spacing_px, mask=mask, blockSize=3)
+    return np.zeros((0, 2)) if found is None else np.asarray(found, dtype=np.float64).reshape(-1, 2)
+
+
+def _between(a_px: Array, b_px: Array) -> Array:
+    """(2, 3) similarity without rotation that takes quadrilateral a to b: centre and mean size."""
+    s = float(np.prod([y / max(x, 1e-6) for x, y in zip(size_px(a_px), size_px(b_px), strict=True)]) ** 0.5)
+    t = b_px.mean(axis=0) - s * a_px.mean(axis=0)
+    return np.array([[s, 0, t[0]], [0, s, t[1]]])
+
+
+def _track(
+    template: Template, grey: Image, origin: Array, points_px: Array, move: Array, settings: FlowSettings
+) -> Similarity | None:
+    """Forward and back, then the fit, in source pixels."""
+    if len(points_px) < settings.min_points:
+        return None
+    scale = 1.0 / template.reduce
+    start = ((points_px - template.origin_px) * scale).astype(np.float32)
+    expected = points_px @ move[:, :2].T + move[:, 2]
+    guess = ((expected - origin) * scale).astype(np.float32)
+    window = (settings.window_px, settings.window_px)
+    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.01)
+    flags = cv2.OPTFLOW_USE_INITIAL_FLOW
+    there, ok, _ = cv2.calcOpticalFlowPyrLK(
+        template.grey, grey, start, guess.copy(), winSize=window, maxLevel=settings.levels, criteria=criteria, flags=flags
+    )
+    back, ok_back, _ = cv2.calcOpticalFlowPyrLK(
+        grey, template.grey, there, start.copy(), winSize=window, maxLevel=settings.levels, criteria=criteria, flags=flags
+    )
+    there, back = np.asarray(there, dtype=np.float64), np.asarray(back, dtype=np.float64)
+    good = (ok.ravel() == 1) & (ok_back.ravel() == 1)
+    good &= np.hypot(*(back - start).T) < settings.forward_backward_px
+    good &= np.isfinite(there).all(axis=1)
+    if good.sum() < settings.min_points:
+        return None
+    now_px = there[good] / scale + origin
+    fit = fit_similarity(points_px[good], now_px, POINT_FLOOR_PX / scale)
+    if fit is None or fit.inliers < settings.min_points or fit.residual_px > settings.residual_max_px / scale:
+        return None
+    return fit

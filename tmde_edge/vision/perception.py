@@ -1,0 +1,353 @@
+"""Frame -> Sighting: full searches at a steady rate of source time, region searches round every track, flow between.
+
+Nothing here reads a clock to decide: `clock_ns` only fills `timing_ms`. Times are the frames' own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from tmde_edge.messages import Frame, Mode, PlateSighting, Point, ScaleChange, Sighting
+from tmde_edge.vision.detect.contour import box_iou
+from tmde_edge.vision.flow import FlowStep, Growth, Template, follow, make_template
+from tmde_edge.vision.protocols import Image, PlateCandidate, PlateReader, PlateReading
+from tmde_edge.vision.rectify import Array, bounds, is_convex, size_px
+from tmde_edge.vision.search import PlateSearch, Region, fovea_region
+from tmde_edge.vision.settings import DetectorSettings, FlowSettings, SegmenterSettings
+from tmde_edge.vision.sighting import is_blind, plate_sighting
+
+EARLY_NS = 2_000_000  # a search may run this much before it is due: frame times jitter
+LONGEST_STEP_NS = 1_000_000_000  # after a gap longer than this between frames no track is carried over
+VELOCITY_SHARE = 0.6  # of a new step in the smoothed image velocity
+SAME_PLATE_IOU = 0.15  # overlap with the predicted box that makes a candidate the same plate
+
+
+@dataclass(slots=True)
+class _Track:
+    """One plate followed through the image."""
+
+    corners_px: Array
+    score: float
+    seen_ns: int  # last detection
+    hits: int = 1
+    id: int = 0  # 0 until confirmed
+    velocity_px: Array = field(default_factory=lambda: np.zeros((4, 2)))  # corners' motion a nanosecond
+    sigma_px: float = 1.0
+    template: Template | None = None  # of the last frame
+    anchor: Template | None = None  # where the present scale change starts
+    anchor_ns: int = 0
+
+
+@dataclass(slots=True)
+class _Timing:
+    """Milliseconds by stage."""
+
+    clock_ns: Callable[[], int]
+    start_ns: int
+    stages: dict[str, float] = field(default_factory=dict)
+    last_ns: int = 0
+
+    def done(self, stage: str) -> None:
+        now = self.clock_ns()
+        self.stages[stage] = self.stages.get(stage, 0.0) + (now - self.last_ns) * 1e-6
+        self.last_ns = now
+
+    def total(self) -> dict[str, float]:
+        return {"total": (self.clock_ns() - self.start_ns) * 1e-6, **self.stages}
+
+
+class Perception:
+    """Finds, follows and measures plates. One object per camera; `see` remembers, `see_still` does not."""
+
+    def __init__(
+        self, *, search: PlateSearch, reader: PlateReader, detector: DetectorSettings, segmenter: SegmenterSettings,
+        flow: FlowSettings, clock_ns: Callable[[], int],
+    ) -> None:
+        self._search = search
+        self._reader = reader
+        self._detector = detector
+        self._segmenter = segmenter
+        self._flow = flow
+        self._clock_ns = clock_ns
+        self.far_point_px: Point | None = None  # the driving path's far end, where known: the fovea looks there
+        self._reset()
+
+    def _reset(self) -> None:
+        self._tracks: list[_Track] = []
+        self._next_id = 1
+        self._mode: Mode = "strict"
+        self._without_plate = 0
+        self._last_ns: int | None = None
+        self._searched_ns: int | None = None
+        self._fovea_ns: int | None = None
+
+    def see_still(self, frame: Frame) -> Sighting:
+        """A picture by itself: nothing remembered, nothing carried over to the next one."""
+        timing = self._timer()
+        image = frame.image
+        if is_blind(image, self._detector.blind_contrast):
+            return self._sighting(frame, "blind", (), (), True, "strict", timing)
+        mode: Mode = "strict"
+        candidates = self._search.still(image, mode)
+        timing.done("detect")
+        plates = self._read_still(image, candidates)
+        timing.done("read")
+        return self._sighting(frame, "ok" if plates else "no_plate", plates, (), True, mode, timing)
+
+    def _read_still(self, image: Image, candidates: list[PlateCandidate]) -> tuple[PlateSighting, ...]:
+        best = sorted(candidates, key=lambda c: -c.score)[: self._detector.max_plates]
+        readings = self._reader.read(image, best)
+        return tuple(
+            plate_sighting(
+                r, track_id=0, score=c.score, source="detector", shape=image.shape, settings=self._segmenter
+            )
+            for c, r in zip(best, readings, strict=True)
+            if self._credible(r)
+        )
+
+    def see(self, frame: Frame) -> Sighting:
+        """The next frame of a drive. Frames come in order of time; after a step back or a long gap all tracks are new."""
+        timing = self._timer()
+        image, t_ns = frame.image, frame.t_ns
+        if self._last_ns is not None and not 0 < t_ns - self._last_ns <= LONGEST_STEP_NS:
+            self._tracks = []
+            self._searched_ns = self._fovea_ns = None
+        step_ns = 0 if self._last_ns is None else t_ns - self._last_ns
+        self._last_ns = t_ns
+        if is_blind(image, self._detector.blind_contrast):
+            self._forget_old(t_ns)
+            for track in self._tracks:
+                track.template = track.anchor = None
+            self._count(False)
+            return self._sighting(frame, "blind", (), (), False, self._mode, timing)
+
+        steps = [self._predict(track, image, step_ns) for track in self._tracks]
+        timing.done("flow")
+        searched, candidates = self._look(image, t_ns)
+        timing.done("detect")
+        matched, fresh = self._associate(candidates)
+        plates = self._measure(image, t_ns, step_ns, steps, matched, fresh)
+        timing.done("read")
+        changes = self._scale_changes(image, t_ns)
+        self._retire(image, t_ns)
+        timing.done("flow")
+        mode = self._mode
+        self._count(any(p.source == "detector" for p in plates))
+        return self._sighting(frame, "ok" if plates else "no_plate", plates, changes, searched, mode, timing)
+
+    def _timer(self) -> _Timing:
+        now = self._clock_ns()
+        return _Timing(clock_ns=self._clock_ns, start_ns=now, last_ns=now)
+
+    def _predict(self, track: _Track, image: Image, step_ns: int) -> FlowStep | None:
+        """Moves a track to this frame: by its velocity, then by flow where that succeeds."""
+        guess = track.corners_px + track.velocity_px * step_ns
+        if not is_convex(guess):
+            guess = track.corners_px
+        step = None
+        if self._flow.enabled and track.template is not None:
+            step = follow(track.template, image, guess, self._flow)
+        if step is not None and not is_convex(step.corners_px):
+            step = None
+        track.corners_px = guess if step is None else step.corners_px
+        # drift of the flow adds up until the next detection; without flow the guess is a plate's own motion off
+        track.sigma_px = float(np.hypot(track.sigma_px, step.sigma_px if step is not None else 2.0))
+        return step
+
+    def _look(self, image: Image, t_ns: int) -> tuple[bool, list[PlateCandidate]]:
+        """Region searches round every track, and the full search or the fovea when due."""
+        found: list[PlateCandidate] = []
+        for track in self._tracks:
+            region = self._region(track, image)
+            if region is not None:
+                found += self._search.region(image, region, size_px(track.corners_px)[0], self._mode)
+        if self._due(self._searched_ns, t_ns, self._detector.search_rate_hz):
+            self._searched_ns = t_ns
+            return True, found + self._search.frame(image, self._mode)
+        if self._detector.fovea and self._due(self._fovea_ns, t_ns, self._detector.fovea_rate_hz):
+            self._fovea_ns = t_ns
+            window = fovea_region(image.shape[1], image.shape[0], self.far_point_px, self._detector)
+            found += self._search.region(image, window, None, self._mode)
+        return False, found
+
+    @staticmethod
+    def _due(last_ns: int | None, t_ns: int, rate_hz: float) -> bool:
+        return last_ns is None or t_ns - last_ns >= 1e9 / rate_hz - EARLY_NS
+
+    def _region(self, track: _Track, image: Image) -> Region | None:
+        """The predicted box with its margin, inside the image; None where nothing of it is left."""
+        h, w = image.shape[:2]
+        x0, y0, x1, y1 = bounds(track.corners_px)
+        margin = self._detector.region_margin * (x1 - x0)
+        region = max(0, int(x0 - margin)), max(0, int(y0 - margin)), min(w, int(x1 + margin)), min(h, int(y1 + margin))
+        return region if region[2] - region[0] >= 8 and region[3] - region[1] >= 8 else None
+
+    def _associate(self, candidates: list[PlateCandidate]) -> tuple[dict[int, PlateCandidate], list[PlateCandidate]]:
+        """Greedy by score and overlap: candidate of each track (by position), and those that belong to none.
+
+        Ids keep who was there first: of two tracks that want one candidate the better overlap wins.
+        """
+        pairs = []
+        for c_i, c in enumerate(candidates):
+            for t_i, track in enumerate(self._tracks):
+                overlap = box_iou(c.corners_px, track.corners_px)
+                if overlap > SAME_PLATE_IOU:
+                    pairs.append((c.score * (0.5 + overlap), c_i, t_i))
+        matched: dict[int, PlateCandidate] = {}
+        for _, c_i, t_i in sorted(pairs, key=lambda p: (-p[0], p[1], p[2])):
+            if t_i not in matched and not any(candidates[c_i] is m for m in matched.values()):
+                matched[t_i] = candidates[c_i]
+        taken = {c_i for _, c_i, _ in pairs}
+        fresh: list[PlateCandidate] = []
+        for i, c in sorted(enumerate(candidates), key=lambda p: -p[1].score):
+            if i not in taken and all(box_iou(c.corners_px, f.corners_px) <= SAME_PLATE_IOU for f in fresh):
+                fresh.append(c)
+        return matched, fresh[: max(0, self._detector.max_plates - len(self._tracks))]
+
+    def _measure(
+        self, image: Image, t_ns: int, step_ns: int, steps: list[FlowStep | None], matched: dict[int, PlateCandidate],
+        fresh: list[PlateCandidate],
+    ) -> tuple[PlateSighting, ...]:
+        """Reads every track where it was found (or where flow carried it) and every new candidate; updates the tracks."""
+        tracks = list(self._tracks)
+        wanted = [
+            matched.get(i) or PlateCandidate(corners_px=t.corners_px, score=self._faded(t, t_ns))
+            for i, t in enumerate(tracks)
+        ]
+        readings = self._reader.read(image, wanted + fresh)
+        plates: list[PlateSighting] = []
+        for i, track in enumerate(tracks):
+            reading = readings[i]
+            credible = self._credible(reading)
+            if i in matched and credible:
+                self._hit(track, matched[i], reading, t_ns, step_ns)
+                plates += self._report(track, reading, wanted[i].score, "detector", image)
+            elif steps[i] is not None and track.id and self._inside(track, image):
+                carried = reading if credible and reading.refined else _bare(track, reading)
+                self._carry(track, carried, step_ns)
+                plates += self._report(track, carried, wanted[i].score, "flow", image)
+        for candidate, reading in zip(fresh, readings[len(tracks) :], strict=True):
+            if self._credible(reading) and is_convex(reading.corners_px):
+                track = _Track(corners_px=reading.corners_px, score=candidate.score, seen_ns=t_ns)
+                track.sigma_px = reading.corners_sigma_px
+                self._tracks.append(track)
+                self._confirm(track)
+                plates += self._report(track, reading, candidate.score, "detector", image)
+        return tuple(plates)
+
+    def _faded(self, track: _Track, t_ns: int) -> float:
+        """The score of a plate that the detector has not seen since: none is left when the track ends."""
+        return track.score * max(0.0, 1.0 - (t_ns - track.seen_ns) * 1e-9 / self._detector.lost_s)
+
+    def _credible(self, reading: PlateReading) -> bool:
+        return reading.platehood is None or reading.platehood >= self._segmenter.platehood_min
+
+    @staticmethod
+    def _inside(track: _Track, image: Image) -> bool:
+        """Whether the plate's middle is still in the image."""
+        x, y = track.corners_px.mean(axis=0)
+        return bool(-0.5 <= x <= image.shape[1] - 0.5 and -0.5 <= y <= image.shape[0] - 0.5)
+
+    def _hit(
+        self, track: _Track, candidate: PlateCandidate, reading: PlateReading, t_ns: int, step_ns: int
+    ) -> None:
+        self._carry(track, reading, step_ns)
+        track.score, track.seen_ns, track.hits = candidate.score, t_ns, track.hits + 1
+        track.sigma_px = reading.corners_sigma_px
+        self._confirm(track)
+
+    @staticmethod
+    def _carry(track: _Track, reading: PlateReading, step_ns: int) -> None:
+        if not is_convex(reading.corners_px):
+            return
+        if step_ns > 0 and track.template is not None:
+            moved = (reading.corners_px - track.template.corners_px).mean(axis=0) / step_ns
+            track.velocity_px = (1 - VELOCITY_SHARE) * track.velocity_px + VELOCITY_SHARE * moved
+        track.corners_px = reading.corners_px
+
+    def _confirm(self, track: _Track) -> None:
+        sure = track.score >= self._detector.confident_score
+        if not track.id and (sure or track.hits >= self._detector.confirm_hits):
+            track.id = self._next_id
+            self._next_id += 1
+
+    def _report(
+        self, track: _Track, reading: PlateReading, score: float, source: Literal["detector", "flow"], image: Image
+    ) -> list[PlateSighting]:
+        if not track.id:
+            return []
+        settings = self._segmenter
+        return [
+            plate_sighting(reading, track_id=track.id, score=score, source=source, shape=image.shape, settings=settings)
+        ]
+
+    def _scale_changes(self, image: Image, t_ns: int) -> tuple[ScaleChange, ...]:
+        """Growth of confirmed tracks since their anchor, directly between the two images, once every base_s."""
+        changes: list[ScaleChange] = []
+        if not self._flow.enabled:
+            return ()
+        for track in self._tracks:
+            if track.anchor is None or not track.id or t_ns - track.anchor_ns < self._flow.base_s * 1e9 - EARLY_NS:
+                continue
+            step = follow(track.anchor, image, track.corners_px, self._flow)
+            if step is not None:
+                changes += _changes(track, step)
+            track.anchor = None
+        return tuple(changes)
+
+    def _retire(self, image: Image, t_ns: int) -> None:
+        """Ends tracks that are lost, doubled or outside; renews the templates of the others."""
+        self._forget_old(t_ns)
+        kept: list[_Track] = []
+        for track in sorted(self._tracks, key=lambda t: (t.id == 0, t.id, -t.score)):
+            doubled = any(box_iou(track.corners_px, k.corners_px) > 0.4 for k in kept)
+            if doubled or not self._inside(track, image) or min(size_px(track.corners_px)) < 2:
+                continue
+            kept.append(track)
+        self._tracks = kept
+        if not self._flow.enabled:
+            return
+        for track in self._tracks:
+            track.template = make_template(image, track.corners_px, self._flow)
+            if track.anchor is None:
+                track.anchor, track.anchor_ns = track.template, t_ns
+
+    def _forget_old(self, t_ns: int) -> None:
+        # a plate that was never confirmed gets less patience: it may miss one search
+        patience_ns = self._detector.lost_s * 1e9
+        self._tracks = [t for t in self._tracks if t_ns - t.seen_ns <= patience_ns * (1.0 if t.id else 0.5)]
+
+    def _count(self, success: bool) -> None:
+        """Strict and permissive: permissive after a run of frames without a plate, strict again on success."""
+        self._without_plate = 0 if success else self._without_plate + 1
+        self._mode = "permissive" if self._without_plate >= self._detector.permissive_after_frames else "strict"
+
+    def _sighting(
+        self, frame: Frame, status: Literal["ok", "no_plate", "blind"], plates: tuple[PlateSighting, ...],
+        changes: tuple[ScaleChange, ...], searched: bool, mode: Mode, timing: _Timing,
+    ) -> Sighting:
+        return Sighting(
+            t_ns=frame.t_ns, frame_index=frame.index, width_px=frame.image.shape[1], height_px=frame.image.shape[0],
+            status=status, plates=plates, scale_changes=changes, mode=mode, searched=searched, timing_ms=timing.total(),
+        )  # fmt: skip
+
+
+def _bare(track: _Track, reading: PlateReading) -> PlateReading:
+    """What flow alone knows of a plate: its place. Characters read there are kept only when the outline was seen too."""
+    return PlateReading(
+        corners_px=track.corners_px, corners_sigma_px=track.sigma_px, refined=False, characters=(),
+        light_on_dark=reading.light_on_dark,
+    )  # fmt: skip
+
+
+def _changes(track: _Track, step: FlowStep) -> list[ScaleChange]:
+    parts: list[tuple[Growth | None, Literal["plate", "vehicle"]]] = [(step.plate, "plate"), (step.rear, "vehicle")]
+    return [
+        ScaleChange(track_id=track.id, t_from_ns=track.anchor_ns, ratio=g.ratio, sigma=g.sigma, source=source)
+        for g, source in parts
+        if g is not None
+    ]

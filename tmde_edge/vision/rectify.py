@@ -1,0 +1,94 @@
+"""Plate outlines as four ordered corners, and the plate's picture seen from the front.
+
+Pixel (0, 0) of a rectified picture of w x h pixels is centred at (0, 0); the plate's corners lie at (-0.5, -0.5) and
+(w - 0.5, h - 0.5), so that the picture holds the plate exactly.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from tmde_edge.vision.protocols import Image
+
+Array = NDArray[np.float64]
+
+
+def to_grey(image: Image) -> Image:
+    """(h, w) of a grey, BGR or BGRA image; a grey image is passed on as it is."""
+    if image.ndim == 2:
+        return image
+    if image.shape[2] == 1:
+        return np.ascontiguousarray(image[:, :, 0])
+    code = cv2.COLOR_BGRA2GRAY if image.shape[2] == 4 else cv2.COLOR_BGR2GRAY
+    return np.asarray(cv2.cvtColor(image, code), dtype=np.uint8)
+
+
+def order_corners(points_px: Array) -> Array:
+    """(4, 2) in any order to TL, TR, BR, BL: clockwise on the screen, the top side being the upper of the two long ones.
+
+    Raises ValueError when the four points do not make a convex quadrilateral.
+    """
+    centre = points_px.mean(axis=0)
+    angles = np.arctan2(points_px[:, 1] - centre[1], points_px[:, 0] - centre[0])
+    ring = points_px[np.argsort(angles)]  # clockwise on the screen, because y points down
+    if not is_convex(ring):
+        raise ValueError(f"not a convex quadrilateral: {points_px.tolist()}")
+    sides = np.hypot(*(np.roll(ring, -1, axis=0) - ring).T)
+    # the two opposite sides that are longer together are top and bottom
+    first = 0 if sides[0] + sides[2] >= sides[1] + sides[3] else 1
+    a, b = ring[[first, (first + 1) % 4]].mean(axis=0), ring[[(first + 2) % 4, (first + 3) % 4]].mean(axis=0)
+    start = first if a[1] <= b[1] else (first + 2) % 4
+    return np.asarray(np.roll(ring, -start, axis=0))
+
+
+def is_convex(corners_px: Array) -> bool:
+    """Whether four corners in order make a convex quadrilateral of some area, turning clockwise on the screen."""
+    edges = np.roll(corners_px, -1, axis=0) - corners_px
+    following = np.roll(edges, -1, axis=0)
+    return bool(np.all(edges[:, 0] * following[:, 1] - edges[:, 1] * following[:, 0] > 1e-9))
+
+
+def size_px(corners_px: Array) -> tuple[float, float]:
+    """Mean width and height of a quadrilateral, pixels."""
+    tl, tr, br, bl = corners_px
+    width = (np.hypot(*(tr - tl)) + np.hypot(*(br - bl))) / 2
+    height = (np.hypot(*(bl - tl)) + np.hypot(*(br - tr))) / 2
+    return float(width), float(height)
+
+
+def bounds(corners_px: Array) -> tuple[float, float, float, float]:
+    """x0, y0, x1, y1 of the upright box round a quadrilateral."""
+    low, high = corners_px.min(axis=0), corners_px.max(axis=0)
+    return float(low[0]), float(low[1]), float(high[0]), float(high[1])
+
+
+def homography_source_from_rectified(corners_px: Array, width_px: int, height_px: int) -> Array:
+    """(3, 3): source pixel of a rectified pixel. Raises ValueError for corners that span no area."""
+    if not is_convex(corners_px):
+        raise ValueError(f"corners do not make a convex quadrilateral: {corners_px.tolist()}")
+    x, y = width_px - 0.5, height_px - 0.5
+    flat = np.array([[-0.5, -0.5], [x, -0.5], [x, y], [-0.5, y]], np.float32)
+    return np.asarray(cv2.getPerspectiveTransform(flat, corners_px.astype(np.float32)), dtype=np.float64)
+
+
+def rectify(image: Image, corners_px: Array, width_px: int, height_px: int) -> tuple[Image, Array]:
+    """The plate from the front, (height, width[, 3]) by bicubic interpolation, and the homography source <- rectified.
+
+    Beyond the image its border pixels are repeated. Raises ValueError for corners that span no area.
+    """
+    if width_px < 1 or height_px < 1:
+        raise ValueError(f"rectified size {width_px} x {height_px} px")
+    source_from_rectified = homography_source_from_rectified(corners_px, width_px, height_px)
+    flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
+    flat = cv2.warpPerspective(
+        image, source_from_rectified, (width_px, height_px), flags=flags, borderMode=cv2.BORDER_REPLICATE
+    )
+    return np.asarray(flat, dtype=np.uint8), source_from_rectified
+
+
+def apply_homography(homography: Array, points: Array) -> Array:
+    """(n, 2) points through a (3, 3) homography."""
+    mapped = np.column_stack([points, np.ones(len(points))]) @ homography.T
+    return np.asarray(mapped[:, :2] / mapped[:, 2:])

@@ -1,0 +1,120 @@
+"""Sub-pixel sizes on a rectified grey picture: box edges at half contrast, stroke width, border thickness."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from tmde_edge.vision.protocols import Image
+
+Array = NDArray[np.float64]
+INK_SHARE = 0.12  # of a row's (or column's) pixels that make its ink level: about one stroke
+
+
+def box_edges(flat: Image, boxes: Array, light_on_dark: bool) -> tuple[Array, Array]:
+    """(n, 4) boxes with their edges moved to the half-contrast crossing of the ink, and (n, 2) sigma of tb and lr edges.
+
+    An edge without a clear crossing keeps its place, with the sigma of a whole pixel's rounding and threshold bias.
+    """
+    grey = np.asarray(flat, dtype=np.float64)
+    ink = np.asarray(grey if light_on_dark else 255.0 - grey, dtype=np.float64)
+    out = boxes.copy()
+    sigma = np.full((len(boxes), 2), 0.0)
+    for i, (left, top, right, bottom) in enumerate(boxes):
+        x0, x1 = max(0, int(np.ceil(left))), min(flat.shape[1] - 1, int(np.floor(right)))
+        y0, y1 = max(0, int(np.ceil(top))), min(flat.shape[0] - 1, int(np.floor(bottom)))
+        if x1 - x0 < 2 or y1 - y0 < 4:
+            sigma[i] = 1.0
+            continue
+        reach = max(2, round(0.14 * (y1 - y0)))
+        ya, yb = max(0, y0 - reach), min(flat.shape[0] - 1, y1 + reach)
+        tall = _strongest(ink[ya : yb + 1, x0 : x1 + 1], axis=1)
+        out[i, 1], s_top = _crossing(tall, top - ya, reach, ya, rising=True)
+        out[i, 3], s_bottom = _crossing(tall, bottom - ya, reach, ya, rising=False)
+        xa, xb = max(0, x0 - reach), min(flat.shape[1] - 1, x1 + reach)
+        wide = _strongest(ink[y0 : y1 + 1, xa : xb + 1], axis=0)
+        out[i, 0], s_left = _crossing(wide, left - xa, reach, xa, rising=True)
+        out[i, 2], s_right = _crossing(wide, right - xa, reach, xa, rising=False)
+        sigma[i] = np.hypot(s_top, s_bottom) / np.sqrt(2), np.hypot(s_left, s_right) / np.sqrt(2)
+    return out, sigma
+
+
+def _strongest(ink: Array, axis: int) -> Array:
+    """Mean of the inkiest pixels of each row (axis 1) or column (axis 0)."""
+    n = ink.shape[axis]
+    k = max(1, round(INK_SHARE * n))
+    part = np.partition(ink, n - k, axis=axis)
+    return np.asarray(part.take(range(n - k, n), axis=axis).mean(axis=axis))
+
+
+def _crossing(profile: Array, at: float, reach: int, start: int, *, rising: bool) -> tuple[float, float]:
+    """Where the profile crosses half contrast nearest to `at` (index units), plus start; and its sigma.
+
+    Levels: the profile's median in the glyph's middle third is ink, its minimum outside within reach is ground.
+    """
+    n = len(profile)
+    ink = float(np.median(profile[n // 3 : n - n // 3]))
+    outside = profile[: max(1, int(at) + 1)] if rising else profile[min(n - 1, int(np.ceil(at))) :]
+    ground = float(outside.min())
+    contrast = ink - ground
+    if contrast < 10:
+        return at + start, 1.0
+    level = ground + contrast / 2
+    sign = 1.0 if rising else -1.0
+    a, b = profile[:-1], profile[1:]
+    steps = np.flatnonzero((a - level) * (b - level) <= 0)
+    steps = steps[sign * (b[steps] - a[steps]) > 0]
+    if len(steps) == 0:
+        return at + start, 1.0
+    places = steps + (level - a[steps]) / (b[steps] - a[steps])
+    best = int(np.argmin(np.abs(places - at)))
+    if abs(places[best] - at) > reach:
+        return at + start, 1.0
+    slope = abs(float(b[steps[best]] - a[steps[best]]))
+    # 6 grey levels of doubt about the level itself (uneven light, shot noise of the two levels)
+    return float(places[best]) + start, float(min(1.0, np.hypot(6.0 / slope, 0.25)))
+
+
+def stroke_width(mask: NDArray[np.uint8]) -> float:
+    """Stroke of one character's ink mask, pixels: twice the distance to the ground along the strokes' middle lines."""
+    padded = cv2.copyMakeBorder(mask, 2, 2, 2, 2, cv2.BORDER_CONSTANT, value=0)
+    distance = np.asarray(cv2.distanceTransform(padded, cv2.DIST_L2, 5), dtype=np.float64)
+    ridge = (distance > 0) & (distance >= cv2.dilate(distance, np.ones((3, 3))))
+    # an odd width w has its ridge at (w + 1) / 2, an even one at w / 2
+    return float(2 * np.median(distance[ridge]) - 0.5) if ridge.any() else 0.0
+
+
+def border_thickness(flat: Image, light_on_dark: bool) -> float | None:
+    """Thickness of the line that runs round the plate, rectified pixels; None where no such line stands clear.
+
+    A side counts when its mean profile goes ground, ink, ground within the outer 14 % of the height; the thickness is
+    the ink under that line, divided by the contrast of ink to ground.
+    """
+    grey = flat.astype(np.float64)
+    ink = grey if light_on_dark else 255.0 - grey
+    h, w = ink.shape
+    depth = max(4, round(0.14 * h))
+    middle_x, middle_y = slice(int(0.12 * w), int(0.88 * w)), slice(int(0.2 * h), int(0.8 * h))
+    ink_level = float(np.percentile(ink[int(0.3 * h) : int(0.7 * h), middle_x], 97))
+    profiles = (
+        np.median(ink[:depth, middle_x], axis=1), np.median(ink[h - depth :, middle_x], axis=1)[::-1],
+        np.median(ink[middle_y, :depth], axis=0), np.median(ink[middle_y, w - depth :], axis=0)[::-1],
+    )  # fmt: skip
+    found = [t for p in profiles if (t := _line(p, ink_level)) is not None]
+    return float(np.median(found)) if len(found) >= 2 else None
+
+
+def _line(profile: Array, ink_level: float) -> float | None:
+    """Equivalent width of one ink line in a profile from the outside inwards; None where it is not a line on ground."""
+    peak = int(np.argmax(profile))
+    if peak == 0 or peak == len(profile) - 1:
+        return None
+    inner, outer = float(profile[peak:].min()), float(profile[: peak + 1].min())
+    ground = max(inner, outer)
+    contrast = ink_level - min(inner, outer)
+    if contrast < 25 or float(profile[peak]) - ground < 0.4 * contrast:
+        return None
+    end = peak + int(np.argmin(profile[peak:]))
+    begin = int(np.argmin(profile[: peak + 1]))
+    return float(np.clip(profile[begin : end + 1] - ground, 0, None).sum() / (ink_level - ground))

@@ -1,0 +1,86 @@
+"""From what a reader found on one plate to the logged `PlateSighting`; and whether a frame shows anything at all."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+
+from tmde_edge.messages import GlyphSighting, PlateSighting, Point
+from tmde_edge.vision.protocols import CharacterBox, Image, PlateReading
+from tmde_edge.vision.rectify import Array
+from tmde_edge.vision.settings import SegmenterSettings
+
+GROUP_GAP = 1.35  # a pitch longer than this many medians spans a gap between groups
+
+
+def plate_sighting(
+    reading: PlateReading, *, track_id: int, score: float, source: Literal["detector", "flow"],
+    shape: tuple[int, ...], settings: SegmenterSettings,
+) -> PlateSighting:
+    """One plate of a frame of the given shape (rows, columns, ...), in source pixels."""
+    glyphs = tuple(_glyph(c) for c in reading.characters)
+    heights = [g.height_px for g in glyphs if g.main]
+    enough = len(glyphs) >= max(1, settings.min_characters)
+    x, y = reading.corners_px[:, 0], reading.corners_px[:, 1]
+    cut = x.min() < -0.5 or y.min() < -0.5 or x.max() > shape[1] - 0.5 or y.max() > shape[0] - 0.5
+    return PlateSighting(
+        track_id=track_id,
+        corners_px=(
+            _point(reading.corners_px[0]), _point(reading.corners_px[1]),
+            _point(reading.corners_px[2]), _point(reading.corners_px[3]),
+        ),
+        corners_sigma_px=reading.corners_sigma_px,
+        score=score,
+        source=source,
+        glyphs=glyphs,
+        char_height_px=trimmed_mean(heights, settings.trim_k) if enough else None,
+        stroke_px=reading.stroke_px,
+        spacing_px=spacing(reading.characters),
+        border_px=reading.border_px,
+        refined=reading.refined,
+        light_on_dark=reading.light_on_dark,
+        cut=bool(cut),
+        blur_px=reading.blur_px,
+    )  # fmt: skip
+
+
+def trimmed_mean(values: list[float], k: int) -> float | None:
+    """Mean without the k largest and k smallest; with too few values fewer are left out; None of nothing."""
+    if not values:
+        return None
+    k = min(k, (len(values) - 1) // 2)
+    return float(np.mean(sorted(values)[k : len(values) - k]))
+
+
+def spacing(characters: tuple[CharacterBox, ...]) -> float | None:
+    """Mean distance between the centres of neighbours in a row, source pixels; gaps between groups left out."""
+    pitches: list[float] = []
+    for row in {c.row for c in characters}:
+        centres = sorted(tuple((c.left_px + c.right_px) / 2) for c in characters if c.row == row and c.main)
+        pitches += [float(np.hypot(b[0] - a[0], b[1] - a[1])) for a, b in pairwise(centres)]
+    if len(pitches) < 2:
+        return None
+    near = [p for p in pitches if p <= GROUP_GAP * float(np.median(pitches))]
+    return float(np.mean(near))
+
+
+def is_blind(image: Image, contrast_min: float) -> bool:
+    """Whether the image shows nothing: black, saturated or nearly constant (2 % to 98 % of a coarse grid of its pixels)."""
+    rows, columns = max(1, image.shape[0] // 90), max(1, image.shape[1] // 160)
+    coarse = image[::rows, ::columns]
+    grey = coarse.mean(axis=2) if coarse.ndim == 3 else coarse
+    low, high = np.percentile(grey, (2, 98))
+    return bool(high - low < contrast_min)
+
+
+def _glyph(c: CharacterBox) -> GlyphSighting:
+    return GlyphSighting(
+        left_px=_point(c.left_px), right_px=_point(c.right_px), top_px=_point(c.top_px), bottom_px=_point(c.bottom_px),
+        sigma_tb_px=c.sigma_tb_px, sigma_lr_px=c.sigma_lr_px, score=c.score, row=c.row, main=c.main, stroke_px=c.stroke_px,
+    )  # fmt: skip
+
+
+def _point(p: Array) -> Point:
+    return float(p[0]), float(p[1])
