@@ -14,7 +14,7 @@ Image8 = NDArray[np.uint8]
 ImageF = NDArray[np.float32]
 
 
-def load_photos(patterns: list[str], max_side_px: int = 1400, limit: int = 400) -> list[Image8]:
+def load_photos(patterns: list[str], max_side_px: int = 1400, limit: int = 1000) -> list[Image8]:
     """Every photo that the glob patterns (absolute) name and OpenCV reads, at most max_side_px wide or high."""
     out = []
     for pattern in patterns:

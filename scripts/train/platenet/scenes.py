@@ -215,7 +215,11 @@ class Composer:
             c = lab.corners_px.mean(0)
             if inside <= 0.02:
                 continue
-            if inside < 0.6 or w < 6.5 or not (0 <= c[0] <= side_px - 1 and 0 <= c[1] <= side_px - 1):
+            x0, y0 = np.clip(lab.corners_px.min(0), 0, side_px - 2).astype(int)
+            x1, y1 = np.clip(np.ceil(lab.corners_px.max(0)), 1, side_px - 1).astype(int)
+            seen = out[y0:y1 + 1, x0:x1 + 1].astype(np.float32).mean(2)
+            invisible = seen.size > 0 and float(seen.std()) < 5.0  # black night, white glare: nobody could tell
+            if invisible or inside < 0.6 or w < 6.5 or not (0 <= c[0] <= side_px - 1 and 0 <= c[1] <= side_px - 1):
                 lab.kind = IGNORE
             keep.append(lab)
         return out, keep, street
@@ -255,8 +259,8 @@ class Composer:
         if balance < 0.6:  # against the red dusk of these rides: part of the way to grey
             mean = img.mean((0, 1)) + 2
             img *= ((mean.mean() / mean) ** rng.uniform(0.3, 1.1)).astype(np.float32)
-        if rng.random() < 0.5 and img.mean() < 90:
-            img = 255 * (np.clip(img, 0, 255) / 255) ** np.float32(rng.uniform(0.45, 0.9))
+        if rng.random() < 0.65 and img.mean() < 90:
+            img = 255 * (np.clip(img, 0, 255) / 255) ** np.float32(rng.uniform(0.35, 0.9))
         for b in f.boxes:
             q = to_patch(b)
             if rng.random() < 0.4 and quad_in(q, side, side) > 0.3:  # another plate over the real one
@@ -323,8 +327,15 @@ class Composer:
                 if rng.random() < 0.8:
                     return
             elif abs(roll) < 0.12:
+                before = img.copy()
                 draw_rear(rng, img, self.b.fonts, cx, cy, w * np.cos(yaw), h)
                 np.clip(img, 0, 255, out=img)
+                if rng.random() < 0.6 and self.b.photos:  # the surroundings mirrored in paint and glass, and less than razor-sharp drawing
+                    drawn = (np.abs(img - before).max(2, keepdims=True) > 0).astype(np.float32)
+                    mirror = cv2.GaussianBlur(self._photo(rng, side), (0, 0), float(rng.uniform(0.8, 5)))
+                    img += drawn * np.float32(rng.uniform(0.08, 0.4)) * (mirror - img)
+                if rng.random() < 0.5:
+                    img[:] = cv2.GaussianBlur(img, (0, 0), float(rng.uniform(0.4, 0.4 + w / 80)))
         self._paste_plate(rng, img, face, quad)
         busy.append((x0, y0, x1, y1))
         labels.append(Label(quad))

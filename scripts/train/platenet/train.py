@@ -24,7 +24,7 @@ from net import STRIDES, UNITS_PX, PlateNet  # noqa: E402
 from targets import batch_maps  # noqa: E402
 
 BATCH = {256: 16, 384: 7}
-SELF_IGNORE = 0.3  # unlabelled street cells scored above this neither punish nor reward: some second cars have no label
+SELF_IGNORE = 0.7  # unlabelled street cells scored above this neither punish nor reward: some second cars have no label
 
 
 class Shards:
@@ -148,8 +148,8 @@ def main() -> None:
             focal, corner, n = head_loss(out, batch_maps(metas, side, head), UNITS_PX[head], torch.from_numpy(street), step > 1500 or a.init is not None)
             n = max(n, len(images) / len(STRIDES) / 2)
             loss = loss + focal / n + a.corner * corner
-            sums[head] += float(focal) / n
-            sums[2 + head] += float(corner)
+            sums[head] += focal.item() / n
+            sums[2 + head] += corner.item()
         opt.zero_grad(set_to_none=True)
         loss.backward()  # type: ignore[no-untyped-call]
         norm = torch.nn.utils.clip_grad_norm_(net.parameters(), 10.0)
