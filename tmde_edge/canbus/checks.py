@@ -1,7 +1,7 @@
 """Checksums and alive counters of vehicle messages: a frame that fails updates nothing.
 
 The rules are facts about the vehicles, taken from public reverse engineering (opendbc, MIT licence, snapshot of 2026):
-Toyota, Honda, VW MQB (AUTOSAR E2E profile 2 with one list of data ids a message), Hyundai/Kia CAN and CAN FD.
+Toyota, Honda, VW MQB (AUTOSAR E2E profile 2 with one list of data ids a message), Ford, Hyundai/Kia CAN and CAN FD.
 """
 
 from __future__ import annotations
@@ -59,6 +59,17 @@ def hyundai(can_id: int, data: bytes) -> bool:
     return False
 
 
+def ford(can_id: int, data: bytes) -> bool:
+    """BrakeSysFeatures (0x415), Yaw_Data_FD1 (0x91): 255 less the sum of the values, counter and quality flags."""
+    if len(data) < 8:
+        return False
+    if can_id == 0x415:
+        return data[3] == (0xFF - data[0] - data[1] - (data[2] >> 6) - (data[2] >> 2 & 0xF)) & 0xFF
+    if can_id == 0x91:
+        return data[4] == (0xFF - sum(data[:4]) - data[5] - (data[6] >> 6) - (data[6] >> 4 & 0x3)) & 0xFF
+    return False
+
+
 def hyundai_canfd(can_id: int, data: bytes) -> bool:
     """Bytes 0-1, little-endian: CRC-16/XMODEM over bytes 2.. and the id (low byte first), xor a constant for the length."""
     if len(data) not in _HYUNDAI_FD_XOR:
@@ -76,6 +87,7 @@ RULES: Mapping[str, Rule] = {
     "toyota": toyota,
     "honda": honda,
     "vw_mqb": vw_mqb,
+    "ford": ford,
     "hyundai": hyundai,
     "hyundai_canfd": hyundai_canfd,
 }
@@ -85,6 +97,8 @@ def verifiable(rule: str, can_id: int) -> bool:
     """False where the rule has no constants for this message."""
     if rule == "vw_mqb":
         return can_id in _VW_DATA_IDS
+    if rule == "ford":
+        return can_id in (0x415, 0x91)
     if rule == "hyundai":
         return can_id in (0x386, 0x394)
     return True
@@ -94,6 +108,10 @@ def implied_counter(rule: str, can_id: int) -> tuple[BitSlice, ...]:
     """Where the rule's family keeps the alive counter: its parts, least significant first; empty where it must be described."""
     if rule == "vw_mqb":
         return (BitSlice(8, 4),)
+    if rule == "ford" and can_id == 0x415:
+        return (BitSlice(18, 4),)
+    if rule == "ford" and can_id == 0x91:
+        return (BitSlice(40, 8),)
     if rule == "hyundai" and can_id == 0x386:
         return (BitSlice(14, 2), BitSlice(30, 2))
     if rule == "hyundai" and can_id == 0x394:

@@ -5,18 +5,20 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Literal, TypeAlias
+from dataclasses import dataclass
+from typing import Any
 
 from tmde_edge.canbus import checks
 from tmde_edge.canbus.bits import BitSlice
 from tmde_edge.canbus.dbc import DbcMessages, load_messages, unavailable_codes
+from tmde_edge.canbus.j1939 import pgn_of
+from tmde_edge.canbus.plan import Flag, MessageKey, MessagePlan, Quantity, Reader, Scaled, VehicleDecoder
 from tmde_edge.canbus.settings import BitField, CanSettings, SignalSource, VehicleSettings
 from tmde_edge.errors import ConfigError
 
-Quantity: TypeAlias = Literal["speed", "yaw_rate", "brake", "turn_signal"]
-MessageKey: TypeAlias = tuple[int, bool]  # id, extended
+__all__ = ["VehicleDecoder", "build_decoder"]
 
+_NULL_ADDRESS = 0xFE  # the source address that J1939 DBC files write for "any"
 _SPEED_UNITS = {"m/s": 1.0, "km/h": 1 / 3.6, "mph": 0.44704, "kn": 1852 / 3600}
 _YAW_UNITS = {"rad/s": 1.0, "deg/s": math.pi / 180}
 _ALIASES = {  # how DBC files write them
@@ -25,123 +27,6 @@ _ALIASES = {  # how DBC files write them
     "°/s": "deg/s", "degree/s": "deg/s", "degrees/s": "deg/s", "grad/s": "deg/s", "degreofarcpersecon": "deg/s",
     "degreepersecond": "deg/s", "radians/s": "rad/s",
 }  # fmt: skip
-
-
-@dataclass(frozen=True, slots=True)
-class Flag:
-    """True where the raw bits equal a value."""
-
-    bits: BitSlice
-    equals: int
-
-    def __call__(self, data: bytes) -> bool:
-        return self.bits.raw(data) == self.equals
-
-
-@dataclass(frozen=True, slots=True)
-class Scaled:
-    """One raw value with its scale, its limits and the codes that mean "not available"."""
-
-    bits: BitSlice
-    scale: float = 1.0
-    offset: float = 0.0
-    unavailable: frozenset[int] = frozenset()  # raw
-    max_raw: int | None = None
-
-    def value(self, data: bytes) -> float | None:
-        """The physical value in the signal's unit; None: not available."""
-        raw = self.bits.raw(data)
-        if raw in self.unavailable or (self.max_raw is not None and raw > self.max_raw):
-            return None
-        if self.bits.length >= 8 and not self.bits.signed and raw == self.bits.all_ones:
-            return None
-        return raw * self.scale + self.offset
-
-
-@dataclass(frozen=True, slots=True)
-class Reader:
-    """Reads one quantity from one message."""
-
-    quantity: Quantity
-    parts: tuple[Scaled, ...]
-    to_si: float = 1.0  # with the sign of our convention
-    sign: Flag | None = None
-    valid: Flag | None = None
-    multiplex: Flag | None = None
-    above: float = 0.0
-    left: int = 1
-    right: int = 2
-
-    @property
-    def resolution(self) -> float:
-        """One raw step in SI units."""
-        return abs(self.parts[0].scale * self.to_si)
-
-    def number(self, data: bytes) -> float | None:
-        """Mean of the parts in SI units (m/s, rad/s); None: not available."""
-        if self.valid is not None and not self.valid(data):
-            return None
-        total = 0.0
-        for part in self.parts:
-            value = part.value(data)
-            if value is None:
-                return None
-            total += value
-        result = total / len(self.parts) * self.to_si
-        if self.sign is not None and self.sign(data):
-            result = -result
-        return result
-
-    def pressed(self, data: bytes) -> bool | None:
-        """The brake: any part above its threshold."""
-        if self.valid is not None and not self.valid(data):
-            return None
-        values = [part.value(data) for part in self.parts]
-        if any(v is None for v in values):
-            return None
-        return any(v is not None and v > self.above for v in values)
-
-    def turn(self, data: bytes) -> Literal["left", "right", "none"] | None:
-        """The indicator; both flags on is the hazard light, which is no turn."""
-        if self.valid is not None and not self.valid(data):
-            return None
-        if len(self.parts) == 2:
-            left, right = (part.bits.unsigned(data) != 0 for part in self.parts)
-        else:
-            raw = self.parts[0].bits.raw(data)
-            left, right = raw == self.left, raw == self.right
-        if left == right:
-            return "none"
-        return "left" if left else "right"
-
-
-@dataclass(frozen=True, slots=True)
-class MessagePlan:
-    """What to check in one message and what to read from it."""
-
-    name: str
-    can_id: int
-    extended: bool
-    min_bytes: int
-    readers: tuple[Reader, ...]
-    rule: str = ""  # name in checks.RULES; empty: none
-    counter: tuple[BitSlice, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class VehicleDecoder:
-    """The plan for one vehicle: immutable, shared by every receiver."""
-
-    plans: Mapping[MessageKey, MessagePlan]
-    quantities: frozenset[Quantity]
-    notes: tuple[str, ...] = ()  # what was skipped or cannot be checked, for the user
-    gps: bool = False
-    skipped: tuple[str, ...] = field(default=())  # messages of the DBC that do not load
-
-    @property
-    def can_ids(self) -> tuple[MessageKey, ...]:
-        """The ids that are needed, for the adapter's filter."""
-        return tuple(self.plans)
 
 
 def build_decoder(settings: CanSettings, dbc_text: str | None = None, dbc_name: str = "") -> VehicleDecoder:
@@ -162,7 +47,7 @@ def build_decoder(settings: CanSettings, dbc_text: str | None = None, dbc_name: 
     found: dict[MessageKey, list[_Resolved]] = {}
     for quantity, source in sources:
         resolved = _resolve(quantity, source, dbc, dbc_name)
-        found.setdefault((resolved.can_id, resolved.extended), []).append(resolved)
+        found.setdefault(resolved.key, []).append(resolved)
     plans = {key: _plan(key, group, notes) for key, group in found.items()}
     return VehicleDecoder(
         plans=plans,
@@ -176,8 +61,7 @@ def build_decoder(settings: CanSettings, dbc_text: str | None = None, dbc_name: 
 @dataclass(frozen=True, slots=True)
 class _Resolved:
     name: str
-    can_id: int
-    extended: bool
+    key: MessageKey
     min_bytes: int
     reader: Reader
     rule: str  # "", a rule, or "?" where a checksum is named but its kind is not known
@@ -191,11 +75,11 @@ def _load(
     name: str,
     notes: list[str],
 ) -> DbcMessages | None:
-    by_name = {s.message for _, s in sources if s.id is None}
+    by_name = {s.message for _, s in sources if not _direct(s)}
     if not by_name:
         return None
     if text is None:
-        quantity = next(q for q, s in sources if s.id is None)
+        quantity = next(q for q, s in sources if not _direct(s))
         raise ConfigError(
             f"can.vehicle.{quantity} names a message but can.vehicle.dbc is not set; name the DBC file or describe "
             "the signal directly (id, start_bit, length, byte_order, scale, offset, unit)"
@@ -205,12 +89,16 @@ def _load(
     return dbc
 
 
+def _direct(source: SignalSource) -> bool:
+    return source.id is not None or source.pgn is not None
+
+
 def _resolve(quantity: Quantity, source: SignalSource, dbc: DbcMessages | None, dbc_name: str) -> _Resolved:
     at = f"can.vehicle.{quantity}"
-    if source.id is not None:
+    if _direct(source):
         if source.message or source.signal or source.signals:
-            raise ConfigError(f"{at} has both id = {source.id:#x} and names of a DBC; give one of the two")
-        return _resolve_direct(at, quantity, source, source.id)
+            raise ConfigError(f"{at} has both an id (or pgn) and names of a DBC; give one of the two")
+        return _resolve_direct(at, quantity, source)
     if dbc is None or not source.message:
         raise ConfigError(f"{at} has neither message nor id; give message and signal of a DBC, or id, start_bit and length")
     return _resolve_named(at, quantity, source, dbc, dbc_name)
@@ -269,16 +157,19 @@ def _resolve_named(at: str, quantity: Quantity, source: SignalSource, dbc: DbcMe
     if source.counter is not None:
         given = flag(source.counter, "counter")
         counter = (given.bits,) if given is not None else counter
-    return _Resolved(
-        source.message, int(message.frame_id), bool(message.is_extended_frame), int(message.length), reader, rule, counter
-    )
+    key: MessageKey = (int(message.frame_id), bool(message.is_extended_frame))
+    if key[1] and key[0] & 0xFF == _NULL_ADDRESS:
+        key = (pgn_of(key[0]), None)
+    return _Resolved(source.message, key, int(message.length), reader, rule, counter)
 
 
-def _resolve_direct(at: str, quantity: Quantity, source: SignalSource, can_id: int) -> _Resolved:
+def _resolve_direct(at: str, quantity: Quantity, source: SignalSource) -> _Resolved:
+    key = _direct_key(at, source)
+    number = key[0]
     starts = [source.start_bit] if source.start_bit is not None else list(source.start_bits)
     if not starts or (source.start_bit is not None and source.start_bits) or source.length is None:
         raise ConfigError(
-            f"{at}: id = {can_id:#x} needs start_bit (or start_bits) and length; byte_order, scale, offset as they are"
+            f"{at}: message {number:#x} needs start_bit (or start_bits) and length; byte_order, scale, offset as they are"
         )
     big = source.byte_order == "big"
     parts = tuple(
@@ -289,14 +180,23 @@ def _resolve_direct(at: str, quantity: Quantity, source: SignalSource, can_id: i
     valid = Flag(_bits(at, "valid", source.valid), source.valid.equals) if source.valid is not None else None
     reader = _reader(at, quantity, source, parts, source.unit, sign, valid, None)
     rule = "" if source.checksum in ("auto", "none") else source.checksum
-    counter = (_bits(at, "counter", source.counter),) if source.counter is not None else checks.implied_counter(rule, can_id)
-    extended = can_id > 0x7FF if source.extended is None else source.extended
-    if can_id > 0x7FF and not extended:
-        raise ConfigError(f"{at}.id = {can_id:#x} does not fit 11 bits; set extended = true")
+    counter = (_bits(at, "counter", source.counter),) if source.counter is not None else checks.implied_counter(rule, number)
     needed = max(b.bytes_needed for b in _all_bits(reader, counter))
     if needed > 64:
         raise ConfigError(f"{at}: start_bit and length reach beyond 64 bytes; check them (DBC numbering)")
-    return _Resolved(f"{can_id:#x}", can_id, extended, needed, reader, rule, counter)
+    return _Resolved(f"PGN {number}" if key[1] is None else f"{number:#x}", key, needed, reader, rule, counter)
+
+
+def _direct_key(at: str, source: SignalSource) -> MessageKey:
+    if source.pgn is not None:
+        if source.id is not None:
+            raise ConfigError(f"{at} has both id = {source.id:#x} and pgn = {source.pgn}; give one of the two")
+        return source.pgn, None
+    can_id = source.id or 0
+    extended = can_id > 0x7FF if source.extended is None else source.extended
+    if can_id > 0x7FF and not extended:
+        raise ConfigError(f"{at}.id = {can_id:#x} does not fit 11 bits; set extended = true")
+    return can_id, extended
 
 
 def _reader(
@@ -351,6 +251,8 @@ def _find_checks(source: SignalSource, message: Any, signals: Mapping[str, Any])
     alive = next((s for name, s in signals.items() if name.endswith("_AliveCounter")), None)
     if alive is not None and not counter:
         counter = (_slice_of(alive),)
+    if {"VehVActlBrk_No_Cs", "VehRollYawW_No_Cs"} & set(signals) and checks.verifiable("ford", int(message.frame_id)):
+        return "ford", checks.implied_counter("ford", int(message.frame_id))
     checksum = next((s for name, s in signals.items() if name.upper() == "CHECKSUM"), None)
     if checksum is None:
         named = any("checksum" in name.lower() or name.endswith("_No_Cs") for name in signals)
@@ -361,7 +263,7 @@ def _find_checks(source: SignalSource, message: Any, signals: Mapping[str, Any])
         return "toyota", counter
     if place == (last_byte + 3, 4, True):
         return "honda", counter
-    if place == (0, 16, False):
+    if place == (0, 16, False) and int(message.length) in (8, 16, 24, 32):
         return "hyundai_canfd", counter
     if place == (0, 8, False) and checks.verifiable("vw_mqb", int(message.frame_id)):
         return "vw_mqb", counter
@@ -369,7 +271,7 @@ def _find_checks(source: SignalSource, message: Any, signals: Mapping[str, Any])
 
 
 def _plan(key: MessageKey, group: Sequence[_Resolved], notes: list[str]) -> MessagePlan:
-    can_id, extended = key
+    can_id = key[0]
     first = group[0]
     rule = next((r.rule for r in group if r.rule not in ("", "?")), "")
     counter = next((r.counter for r in group if r.counter), ())
@@ -381,4 +283,4 @@ def _plan(key: MessageKey, group: Sequence[_Resolved], notes: list[str]) -> Mess
     min_bytes = max(r.min_bytes for r in group)
     for resolved in group:
         min_bytes = max(min_bytes, *(b.bytes_needed for b in _all_bits(resolved.reader, counter)))
-    return MessagePlan(first.name, can_id, extended, min_bytes, tuple(r.reader for r in group), rule, counter)
+    return MessagePlan(first.name, key, min_bytes, tuple(r.reader for r in group), rule, counter)

@@ -9,7 +9,7 @@ from typing import Literal
 
 from tmde_edge.canbus import gps
 from tmde_edge.canbus.checks import RULES, CounterState
-from tmde_edge.canbus.decoder import MessageKey, MessagePlan, Quantity, Reader, VehicleDecoder
+from tmde_edge.canbus.plan import MessageKey, MessagePlan, Quantity, Reader, VehicleDecoder
 from tmde_edge.canbus.settings import CanSettings
 from tmde_edge.canbus.yaw_offset import YawOffset
 from tmde_edge.messages import CanFrame, EgoState
@@ -17,6 +17,7 @@ from tmde_edge.messages import CanFrame, EgoState
 _TURN_HOLD_NS = 1_000_000_000  # lamps blink at 1 to 2 Hz: dark is not yet off
 _PERIOD_UNLEARNED_NS = {"speed": 100_000_000, "yaw_rate": 100_000_000, "brake": 500_000_000, "turn_signal": 1_000_000_000}
 _PERIOD_MAX_NS = {"speed": 1_000_000_000, "yaw_rate": 1_000_000_000, "brake": 2_000_000_000, "turn_signal": 10_000_000_000}
+_OTHER_SENDER_NS = 1_000_000_000
 _PERIOD_MIN_NS = 2_000_000
 _GPS_TIMEOUT_NS = 3_000_000_000
 _GPS_SIGMA_MPS = 0.3
@@ -75,6 +76,7 @@ class Channel:
 class _Message:
     """What is remembered of one message."""
 
+    can_id: int  # of J1939: the first sender of the PGN
     counter: CounterState | None
     period: dict[Quantity, Period]
     last_ns: int | None = None
@@ -116,16 +118,20 @@ class EgoReceiver:
             self._first_ns = frame.t_ns
         if frame.channel == gps.GPS_CHANNEL:
             return self._update_gps(frame)
-        key = (frame.can_id, frame.extended)
-        plan = self._decoder.plans.get(key)
+        plan = self._decoder.find(frame.can_id, frame.extended)
         if plan is None or (self._channel not in (None, "*") and frame.channel != self._channel and not self._let_go(frame)):
             return None
-        message = self._messages.get(key)
+        message = self._messages.get(plan.key)
         if message is None:
-            message = self._messages[key] = _Message(
+            message = self._messages[plan.key] = _Message(
+                frame.can_id,
                 CounterState(plan.counter) if plan.counter else None,
                 {r.quantity: Period(_PERIOD_UNLEARNED_NS[r.quantity], _PERIOD_MAX_NS[r.quantity]) for r in plan.readers},
             )
+        if frame.can_id != message.can_id:
+            if message.last_ns is not None and abs(frame.t_ns - message.last_ns) < _OTHER_SENDER_NS:
+                return None
+            message.can_id = frame.can_id
         if not self._accept(plan, message, frame):
             return None
         used = False
@@ -184,7 +190,7 @@ class EgoReceiver:
         if len(frame.data) < plan.min_bytes:
             self.counts["short"] += 1
             return False
-        if plan.rule and not RULES[plan.rule](plan.can_id, frame.data):
+        if plan.rule and not RULES[plan.rule](frame.can_id, frame.data):
             self.counts["bad_checksum"] += 1
             return False
         if message.last_ns is not None and 0 < message.last_ns - frame.t_ns < 1_000_000_000:

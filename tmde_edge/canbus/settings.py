@@ -12,7 +12,7 @@ CanId = Annotated[int, Meta(ge=0, le=0x1FFFFFFF)]
 Positive = Annotated[float, Meta(gt=0)]
 Rate = Annotated[float, Meta(gt=0, le=200)]
 ByteOrder = Literal["little", "big"]
-ChecksumRule = Literal["auto", "none", "toyota", "honda", "vw_mqb", "hyundai", "hyundai_canfd"]
+ChecksumRule = Literal["auto", "none", "toyota", "honda", "vw_mqb", "ford", "hyundai", "hyundai_canfd"]
 
 
 class BitField(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -34,6 +34,7 @@ class SignalSource(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     signals: list[str] = []  # instead of signal: their mean (wheel speeds); for turn_signal: the left and the right flag
     # described directly, where no DBC loads
     id: CanId | None = None
+    pgn: Annotated[int, Meta(ge=0, le=0x3FFFF)] | None = None  # instead of id: J1939, from whichever source address comes first
     extended: bool | None = None  # 29-bit id; default: from the id's size
     start_bit: Annotated[int, Meta(ge=0, le=511)] | None = None  # DBC numbering
     start_bits: list[Annotated[int, Meta(ge=0, le=511)]] = []  # instead of start_bit: as signals
@@ -60,7 +61,7 @@ class SignalSource(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 class VehicleSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The `[can.vehicle]` table: which signals tell what the own vehicle does."""
 
-    profile: str = ""  # a TOML file with these keys (config/vehicles/*.toml), relative to the configuration; own keys win
+    profile: str = ""  # "toyota", "honda" ... (config/vehicles), or a TOML file relative to the configuration; own keys win
     dbc: str | None = None  # DBC file, relative to the configuration
     channel: str = ""  # of logs with several buses; empty: the bus on which the speed is seen first; "*": any
     speed: SignalSource | None = None
@@ -84,6 +85,7 @@ class CanSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     interface: Literal["socketcan", "slcan", "virtual", "udp_multicast"] = "socketcan"
     channel: str = "can0"  # socketcan: interface; slcan: serial port; udp_multicast: group; virtual: any name
     bitrate: Annotated[int, Meta(gt=0)] = 500_000  # slcan only: socketcan's is set by the system
+    fd: bool = False  # CAN FD (socketcan, udp_multicast): needed to receive frames of more than 8 bytes
     transmit: bool = False  # nothing is sent until this is true
     receive_ids: list[CanId] = []  # what the adapter lets through; empty: the ids that the vehicle signals need
     alert_id: StandardId = 0x6D0

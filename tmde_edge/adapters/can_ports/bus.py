@@ -11,7 +11,6 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from tmde_edge.adapters.can_ports.retry import BackOff, LastingFault
-from tmde_edge.canbus.decoder import MessageKey
 from tmde_edge.canbus.settings import CanSettings
 from tmde_edge.messages import CanFrame
 
@@ -60,14 +59,15 @@ class CanPort:
         self,
         settings: CanSettings,
         on_frame: Callable[[CanFrame], None],
-        wanted: Sequence[MessageKey] = (),
+        wanted: Sequence[tuple[int, int, bool]] = (),
         on_crash: Callable[[BaseException], None] | None = None,
         open_pause_s: float = 2.0,
     ) -> None:
-        """`wanted`: ids let through (empty: all); `open_pause_s`: what slcan adapters need to start up."""
+        """`wanted`: (id, mask, extended) let through, as VehicleDecoder.filters; `open_pause_s`: for slcan to start up."""
         self._s = settings
         self._on_frame = on_frame
-        self._wanted = [(i, i > 0x7FF) for i in settings.receive_ids] or list(wanted)
+        ids = [(i, 0x1FFFFFFF if i > 0x7FF else 0x7FF, i > 0x7FF) for i in settings.receive_ids]
+        self._wanted = ids or list(wanted)
         self._on_crash = on_crash
         self._open_pause_s = open_pause_s
         self.counters = CanCounters()
@@ -233,9 +233,9 @@ class CanPort:
         s = self._s
         options: dict[str, Any] = {"interface": s.interface, "channel": s.channel}
         if self._wanted:
-            options["can_filters"] = [
-                {"can_id": i, "can_mask": 0x1FFFFFFF if extended else 0x7FF, "extended": extended} for i, extended in self._wanted
-            ]
+            options["can_filters"] = [{"can_id": i, "can_mask": m, "extended": e} for i, m, e in self._wanted]
+        if s.fd:
+            options["fd"] = True
         if s.interface == "slcan":
             options |= {
                 "bitrate": s.bitrate,

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import msgspec
 
+from tmde_edge import canbus
 from tmde_edge.canbus.decoder import VehicleDecoder, build_decoder
 from tmde_edge.canbus.settings import CanSettings, VehicleSettings
 from tmde_edge.errors import ConfigError
@@ -15,6 +16,8 @@ if sys.version_info >= (3, 11):
     import tomllib
 else:
     import tomli as tomllib
+
+_PROFILES = Path(canbus.__file__).parent / "data" / "vehicles"  # the same files as config/vehicles
 
 
 def load_vehicle_decoder(settings: CanSettings, base_dir: Path) -> VehicleDecoder:
@@ -36,7 +39,10 @@ def with_profile(settings: CanSettings, base_dir: Path) -> CanSettings:
     if not profile:
         return settings
     path = base_dir / profile
-    text = _read(path, "can.vehicle.profile", "name one of config/vehicles/*.toml")
+    if "/" not in profile and not profile.endswith(".toml"):
+        path = _PROFILES / f"{profile}.toml"
+    known = ", ".join(sorted(p.stem for p in _PROFILES.glob("*.toml")))
+    text = _read(path, "can.vehicle.profile", f"name a TOML file or one of {known}")
     try:
         table = tomllib.loads(text)["can"]["vehicle"]
         base = msgspec.convert(table, VehicleSettings)
