@@ -26,6 +26,7 @@ _MAX_STEPS = 9
 _CLOSE = 0.02  # expected fall of the cost at which the last step is taken unseen: 0.14 sigma
 _GLYPH_C = 2.4  # Cauchy scale in sigmas: 95 % efficient on Gaussian noise
 _CORNER_C = 3.0
+_ANGLE_C = 2.0
 _PRIOR_DOF = 6.0  # residuals worse than stated must show on more than a few features before the noise is scaled
 _SIGNS = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
 
@@ -104,6 +105,7 @@ class _State:
     normal: Floats
     gradient: Floats
     data: Floats  # J^T W J without the prior
+    assumed: Floats  # the prior's information
     chi2: float  # weighted squared residuals
     weight: float  # sum of weights
 
@@ -183,9 +185,14 @@ class _Problem:
         weighted = jacobian * w
         data = weighted @ jacobian.T
         off = x - self.m.mean
-        pull = self.m.information @ off
-        return _State(cost + float(off @ pull), data + self.m.information, weighted @ now + pull, data,
-                      float(w @ squares), float(w.sum()))
+        # The angles' priors have long tails (Cauchy): most plates ahead face us, a parked one may stand anyhow.
+        turn = off[:3] ** 2 * self.m.information[:3, :3].diagonal()
+        tail = 1 / (1 + turn / _ANGLE_C**2)
+        assumed = self.m.information.copy()
+        assumed[:3, :3] *= np.diag(tail)
+        pull = assumed @ off
+        cost += float(off[3:] @ pull[3:]) - _ANGLE_C**2 * float(np.log(tail).sum())
+        return _State(cost, data + assumed, weighted @ now + pull, data, assumed, float(w @ squares), float(w.sum()))
 
     def finish(self, x: Floats, state: _State) -> Fit | None:
         if not np.isfinite(x).all() or abs(x[YAW]) > 1.4 or abs(x[LEAN]) > 1.2:
@@ -194,7 +201,7 @@ class _Problem:
         # Noise larger than stated (blur, bad edges) shows in the residuals: scale it, never below what was stated.
         excess = max(1.0, (state.chi2 + _PRIOR_DOF) / (state.weight + _PRIOR_DOF)) if state.weight > 0 else 1.0
         noise = inverse @ state.data @ inverse * excess
-        prior = inverse @ self.m.information @ inverse
+        prior = inverse @ state.assumed @ inverse
         sign, logdet = np.linalg.slogdet(state.normal)
         prior_logdet = np.linalg.slogdet(self.m.information)[1]
         evidence = -0.5 * state.cost + 0.5 * (prior_logdet - (logdet if sign > 0 else 0.0))

@@ -25,8 +25,8 @@ class RangingSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     glyph_bias_px: NotNegative = 0.05  # common outward error of all top and bottom edges (threshold, blur)
     glyph_jitter: NotNegative = 0.010  # relative height differences between characters of one class
     pitch_jitter_mm: NotNegative = 1.5  # ink is not centred in its cell
-    yaw_sigma_rad: Positive = 0.30  # heading of a plate nothing is known of
-    lean_sigma_rad: Positive = 0.12  # plates lean with the boot lid
+    yaw_sigma_rad: Positive = 0.12  # heading of a plate nothing is known of; long tails
+    lean_sigma_rad: Positive = 0.10  # plates lean with the boot lid; long tails
     roll_sigma_rad: Positive = 0.10
     yaw_rate_sigma_radps: Positive = 0.15  # how fast a followed plate may turn
     belief_floor: Positive = 0.02  # standards less probable than this are not fitted
