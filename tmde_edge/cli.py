@@ -70,9 +70,7 @@ def _common(parser: argparse.ArgumentParser, *, top: bool = False) -> None:
 
 def _outputs(parser: argparse.ArgumentParser, *, top: bool = False) -> None:
     default: Any = None if top else argparse.SUPPRESS
-    parser.add_argument(
-        "--jsonl", metavar="FILE", default=default, help="JSON lines, one a frame or image; - is stdout"
-    )
+    parser.add_argument("--jsonl", metavar="FILE", default=default, help="JSON lines, one a frame or image; - is stdout")
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -90,17 +88,13 @@ def _parser() -> argparse.ArgumentParser:
     )
     _outputs(desk, top=True)  # type: ignore[arg-type]
     desk.add_argument("--can-log", metavar="FILE", type=Path, help="candump .log, .asc, .blf, .trc, also .gz")
-    desk.add_argument(
-        "--can-offset", metavar="SECONDS", type=float, default=0.0, help="t_video = t_can - first + offset"
-    )
+    desk.add_argument("--can-offset", metavar="SECONDS", type=float, default=0.0, help="t_video = t_can - first + offset")
     desk.add_argument("--fps", metavar="N", type=float, default=30.0, help="rate of image folders (default 30)")
     desk.add_argument("--can-out", metavar="FILE", help="the CAN frames that would be sent, as candump -L")
     desk.add_argument("--video-out", metavar="FILE.mp4", type=Path, help="annotated video")
     desk.add_argument("--report", metavar="FOLDER", type=Path, help="HTML report with plots")
     desk.add_argument("--record", metavar="FILE.mcap", type=Path, help="drive log of every input and output")
-    desk.add_argument(
-        "--truth", metavar="FILE.csv", type=Path, help="true distances (columns frame, distance_m): adds errors"
-    )
+    desk.add_argument("--truth", metavar="FILE.csv", type=Path, help="true distances (columns frame, distance_m): adds errors")
     verbs = parser.add_subparsers(dest="verb", metavar="COMMAND", title="commands")
 
     def verb(name: str, function: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
@@ -179,9 +173,7 @@ def _line(record: dict[str, Any]) -> str:
 def _run(args: argparse.Namespace) -> int:
     from tmde_edge.app.service import serve
 
-    return serve(
-        _config(args), base_dir=_base_dir(args), log_line=lambda text: print(text, file=sys.stderr, flush=True)
-    )
+    return serve(_config(args), base_dir=_base_dir(args), log_line=lambda text: print(text, file=sys.stderr, flush=True))
 
 
 def _base_dir(args: argparse.Namespace) -> Path:
@@ -202,13 +194,12 @@ def _dry_run(args: argparse.Namespace) -> int:
     try:
         with ExitStack() as stack:
             out = stack.enter_context(_text_out(args.jsonl)) if args.jsonl else None
-            can_out = stack.enter_context(_text_out(args.can_out)) if args.can_out else None
             desk = run_desk(
                 config,
                 _base_dir(args),
                 DeskOptions(
                     source=args.dry_run, fps=args.fps, can_log=args.can_log, can_offset_s=args.can_offset,
-                    video_out=args.video_out, report=args.report, record=args.record, truth=args.truth, can_out=can_out,
+                    video_out=args.video_out, report=args.report, record=args.record, truth=args.truth, can_out=args.can_out,
                 ),
             )  # fmt: skip
             for record in _progress(desk, desk.frame_count, "dry run", args.quiet):
@@ -252,9 +243,7 @@ def _still_text(record: dict[str, Any]) -> str:
     for p in record["plates"]:
         where = f"at ({p['corners'][0][0]:.0f}, {p['corners'][0][1]:.0f})"
         metres = (
-            f"{p['distance_m']:.2f} m +- {p['sigma_m']:.2f}"
-            if p["distance_m"] is not None
-            else p.get("not_ranged", "not ranged")
+            f"{p['distance_m']:.2f} m +- {p['sigma_m']:.2f}" if p["distance_m"] is not None else p.get("not_ranged", "not ranged")
         )
         texts.append(f"{metres}, {p['characters']} characters {where}")
     return f"{record['image']}: " + ("; ".join(texts) or "no plate")

@@ -120,7 +120,7 @@ class Estimation:
         self._last_frame_ns = s.t_ns
         self._frame_times_ns = [*self._frame_times_ns[-30:], s.t_ns]
         self._refresh_ego(s.t_ns)
-        self._pose = self._p.attitude.update(s.lanes, s.t_ns, self._ego)
+        self._pose = self._p.attitude.update(s.lanes, s.t_ns, self._ego, (s.width_px, s.height_px))
         self._tracker.predict(s.t_ns)
         camera = self._p.camera.scaled_to(s.width_px, s.height_px) if self._p.camera is not None else None
         measured: dict[int, tuple[PlateSighting, RangeMeasurement | None, str | None]] = {}
@@ -159,9 +159,7 @@ class Estimation:
                 self._tracker.set_ego(None)
             self._ego = ego
 
-    def _measure(
-        self, plate: PlateSighting, camera: Camera | None, s: Sighting
-    ) -> tuple[RangeMeasurement | None, str | None]:
+    def _measure(self, plate: PlateSighting, camera: Camera | None, s: Sighting) -> tuple[RangeMeasurement | None, str | None]:
         if camera is None:
             self._tracker.update(_relative_range(plate, s), _source(plate))
             return None, "uncalibrated"

@@ -9,12 +9,12 @@ from typing import Protocol
 from tmde_edge.adapters.cameras.sources import FrameSource
 from tmde_edge.adapters.cameras.video_file import SourceError
 from tmde_edge.app.can_times import CanTimeline
+from tmde_edge.app.eyes import Eyes
 from tmde_edge.app.records import Record, error_record, frame_record
 from tmde_edge.errors import InputDataError
 from tmde_edge.estimation import Estimation
 from tmde_edge.geometry.pinhole import Camera
 from tmde_edge.messages import CanFrame, DepthReading, Event, Frame, FrameResult, Output, Sighting, Tick
-from tmde_edge.vision.perception import Perception
 
 
 class DepthSource(Protocol):
@@ -48,7 +48,7 @@ class Step:
 
 def dry_run(
     source: FrameSource,
-    perception: Perception,
+    eyes: Eyes,
     estimation: Estimation,
     *,
     camera: Camera | None,
@@ -94,7 +94,7 @@ def dry_run(
             continue
         if depth is not None:
             depth.submit(item)
-        sighting = perception.see(item)
+        sighting = eyes.see(item)
         result = step(sighting, item)
         if result is None:
             raise RuntimeError("estimation gave no result for a sighting")

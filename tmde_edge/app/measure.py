@@ -10,13 +10,13 @@ import numpy as np
 
 from tmde_edge.adapters.cameras.sources import image_files, read_image
 from tmde_edge.app.dry_run import size_error
+from tmde_edge.app.eyes import Eyes
 from tmde_edge.app.records import Record, plate_record
 from tmde_edge.errors import InputMissingError
 from tmde_edge.geometry.pinhole import Camera
 from tmde_edge.messages import Frame, PlateResult, Pose, Sighting
 from tmde_edge.pose.compensate import view_from_vehicle
 from tmde_edge.ranging.ranger import Ranger
-from tmde_edge.vision.perception import Perception
 
 
 def expand(paths: Sequence[str]) -> list[Path]:
@@ -54,15 +54,13 @@ def measure_sighting(
     if inside:
         i = min(inside)[1]
         old = results[i]
-        results[i] = PlateResult(
-            sighting=old.sighting, range=old.range, not_ranged=old.not_ranged, in_path=True, lead=True
-        )
+        results[i] = PlateResult(sighting=old.sighting, range=old.range, not_ranged=old.not_ranged, in_path=True, lead=True)
     return tuple(results)
 
 
 def measure_images(
     paths: Sequence[Path],
-    perception: Perception,
+    eyes: Eyes,
     camera: Camera | None,
     ranger: Ranger,
     pose: Pose,
@@ -80,7 +78,7 @@ def measure_images(
             yield {"image": str(path), "error": misfit}, image, ()
             continue
         start_ns = time.perf_counter_ns()
-        sighting = perception.see_still(Frame(t_ns=0, index=index, image=image))
+        sighting = eyes.see_still(Frame(t_ns=0, index=index, image=image))
         seen_ns = time.perf_counter_ns()
         results = measure_sighting(sighting, camera, ranger, pose, path_half_width_m)
         end_ns = time.perf_counter_ns()

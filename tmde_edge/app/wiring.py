@@ -1,0 +1,162 @@
+"""The one table of names -> adapters: builds running parts from a configuration."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import msgspec
+
+from tmde_edge.adapters.can_ports.dbc_files import load_vehicle_decoder
+from tmde_edge.adapters.detectors.platenet import PlateNet
+from tmde_edge.app.dry_run import DepthSource
+from tmde_edge.app.eyes import Eyes, calibrated_prior
+from tmde_edge.app.measure import measure_images
+from tmde_edge.app.records import Record
+from tmde_edge.app.replay import Outcome, replay
+from tmde_edge.canbus.alert_tx import AlertTransmitter
+from tmde_edge.canbus.ego_rx import EgoReceiver
+from tmde_edge.config import Config, from_tree, to_tree
+from tmde_edge.errors import ConfigError
+from tmde_edge.estimation import Estimation, Parts
+from tmde_edge.messages import Pose
+from tmde_edge.plates.standard import select
+from tmde_edge.pose.attitude import AttitudeEstimator
+from tmde_edge.ranging.depth_scale import DepthAligner
+from tmde_edge.ranging.ranger import Ranger
+from tmde_edge.vision.detect.contour import ContourFinder
+from tmde_edge.vision.perception import Perception
+from tmde_edge.vision.protocols import PlateReader
+from tmde_edge.vision.search import NetworkSearch, PlainSearch, PlateSearch
+from tmde_edge.vision.segment.paper import PaperReader
+
+MAX_THREADS = 4  # of a pool when the configuration leaves it open: more never helped networks this small
+
+
+def threads(config: Config) -> int:
+    """Bounds every pool of this process and returns the number."""
+    count = config.runtime.threads or min(os.cpu_count() or 1, MAX_THREADS)
+    cv2.setNumThreads(count)
+    return count
+
+
+def build_eyes(config: Config, clock_ns: Callable[[], int]) -> Eyes:
+    """Finder, reader, flow and lanes as configured. Raises ModelError, ConfigError."""
+    count = threads(config)
+    d, c = config.detector, config.camera
+    search: PlateSearch
+    if d.kind == "contour":
+        aspects = [o[0][0] / o[1][0] for s in select(config.plates.expect) if (o := s.outline_belief()) is not None]
+        search = PlainSearch(ContourFinder(d, (min(aspects), max(aspects)) if aspects else None), d)
+    elif d.kind == "onnx":
+        from tmde_edge.adapters.detectors.onnx_plugin import OnnxFinder
+
+        search = PlainSearch(OnnxFinder(d, count), d)
+    else:
+        search = NetworkSearch(PlateNet(threads=count), d)
+    reader: PlateReader
+    if config.segmenter.kind == "paper":
+        reader = PaperReader(config.segmenter)
+    else:
+        from tmde_edge.adapters.detectors.glyphnet import GlyphNet
+
+        reader = GlyphReader(GlyphNet(threads=count), config.segmenter)
+    perception = Perception(
+        search=search, reader=reader, detector=d, segmenter=config.segmenter, flow=config.flow, clock_ns=clock_ns
+    )
+    return Eyes(perception, config.pose, calibrated_prior(c.camera(), c.pitch_rad, c.roll_rad, c.yaw_rad), clock_ns)
+
+
+def build_estimation(config: Config, base_dir: Path) -> Estimation:
+    """The deciding part. Raises ConfigError (plates, DBC)."""
+    camera = config.camera.camera()
+    decoder = load_vehicle_decoder(config.can, base_dir) if config.can.enabled else None
+    receiver = EgoReceiver(decoder, config.can) if decoder is not None else None
+    return Estimation(
+        Parts(
+            camera=camera,
+            to_bumper_m=config.camera.to_bumper_m,
+            ranger=Ranger(config.ranging, select(config.plates.expect)),
+            attitude=build_attitude(config),
+            depth=DepthAligner(config.depth, config.camera.height_m) if config.depth.kind != "none" else None,
+            tracker=config.tracker,
+            alerts=config.alerts,
+            ego=receiver if receiver is not None and receiver.configured else None,
+            transmitter=AlertTransmitter(config.can),
+        )
+    )
+
+
+def build_attitude(config: Config) -> AttitudeEstimator:
+    """The attitude filter, from the pose at calibration."""
+    c = config.camera
+    return AttitudeEstimator(
+        config.pose, c.camera(), pitch_rad=c.pitch_rad, roll_rad=c.roll_rad, yaw_rad=c.yaw_rad
+    )  # fmt: skip
+
+
+def check_parts(config: Config, base_dir: Path) -> list[str]:
+    """Builds what can be wrong in a configuration beyond its values; returns notes for people. Raises ConfigError."""
+    build_estimation(config, base_dir)
+    notes = []
+    if config.camera.fx_px is None:
+        notes.append("camera.fx_px is not set: distances stay null (fault uncalibrated), TTC from scale works")
+    if not config.can.transmit:
+        notes.append("can.transmit = false: silent, nothing is sent on the bus")
+    if config.can.enabled and config.can.vehicle.speed is None and not config.can.vehicle.profile:
+        notes.append("[can.vehicle] names no speed: own motion is not compensated")
+    return notes
+
+
+def measure_with(config: Config, paths: Sequence[Path]) -> Iterator[Record]:
+    """Measures stills one by one."""
+    c = config.camera
+    eyes = build_eyes(config, time.perf_counter_ns)
+    pose = Pose(pitch_rad=c.pitch_rad, roll_rad=c.roll_rad, yaw_rad=c.yaw_rad)
+    ranger = Ranger(config.ranging, select(config.plates.expect))
+    for record, _, _ in measure_images(paths, eyes, c.camera(), ranger, pose, config.tracker.path_half_width_m):
+        yield record
+
+
+def log_config(config: Config, base_dir: Path) -> dict[str, object]:
+    """What a drive log keeps of the configuration: every value, and the files it names, so that a replay needs nothing else."""
+    files = {}
+    for name in (config.can.vehicle.dbc, config.can.vehicle.profile):
+        if name and config.can.enabled:
+            files[name] = (base_dir / name).read_bytes().decode("utf-8", errors="surrogateescape")
+    return {"values": to_tree(config), "files": files}
+
+
+def replay_log(path: Path) -> Outcome:
+    """Replays a drive log with the configuration it carries."""
+    with tempfile.TemporaryDirectory(prefix="tmde-replay-") as folder:
+
+        def make(kept: dict[str, Any]) -> Estimation:
+            # The file's own path may lie anywhere; inside the replay it is just a name.
+            config = from_tree(kept["values"], f"configuration in {path}")
+            vehicle = config.can.vehicle
+            renamed: dict[str, str] = {}
+            for i, (name, text) in enumerate(kept["files"].items()):
+                renamed[name] = f"{i}-{Path(name).name}"
+                (Path(folder) / renamed[name]).write_bytes(text.encode("utf-8", errors="surrogateescape"))
+            vehicle = msgspec.structs.replace(
+                vehicle,
+                dbc=renamed.get(vehicle.dbc or "", vehicle.dbc),
+                profile=renamed.get(vehicle.profile, vehicle.profile),
+            )
+            config = msgspec.structs.replace(config, can=msgspec.structs.replace(config.can, vehicle=vehicle))
+            return build_estimation(config, Path(folder))
+
+        return replay(path, make)
+
+
+def build_depth(config: Config, base_dir: Path) -> DepthSource | None:
+    """Relative depth on source time, or None where it is off. Raises ModelError."""
+    if config.depth.kind == "none":
+        return None
+    raise ConfigError(f'depth.kind = {config.depth.kind!r}: not in this version; set depth.kind = "none"')
