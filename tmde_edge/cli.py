@@ -86,7 +86,7 @@ def _parser() -> argparse.ArgumentParser:
     desk.add_argument(
         "--dry-run", metavar="SOURCE", help="a video, a folder of images, or a printf/glob pattern; no camera, no bus"
     )
-    _outputs(desk, top=True)  # type: ignore[arg-type]
+    _outputs(desk, top=True)
     desk.add_argument("--can-log", metavar="FILE", type=Path, help="candump .log, .asc, .blf, .trc, also .gz")
     desk.add_argument("--can-offset", metavar="SECONDS", type=float, default=0.0, help="t_video = t_can - first + offset")
     desk.add_argument("--fps", metavar="N", type=float, default=30.0, help="rate of image folders (default 30)")

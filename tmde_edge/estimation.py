@@ -36,7 +36,8 @@ from tmde_edge.messages import (
 from tmde_edge.pose.attitude import AttitudeEstimator
 from tmde_edge.pose.compensate import view_from_vehicle
 from tmde_edge.ranging.depth_scale import DepthAligner
-from tmde_edge.ranging.ranger import Ranger, TrackScale
+from tmde_edge.ranging.ranger import Ranger
+from tmde_edge.ranging.scale_memory import TrackScale
 from tmde_edge.tracking.lead import LeadTracker, Source, Track
 from tmde_edge.tracking.settings import TrackerSettings
 from tmde_edge.tracking.ttc import braking_ttc_s, plain_ttc_s, required_decel_mps2, ttc_sigma_s

@@ -28,9 +28,13 @@ def show_lines(ids: Sequence[str]) -> Iterator[str]:
 def _show(s: PlateStandard) -> Iterator[str]:
     yield f"{s.id} ({s.country}): {s.name}"
     for name, size in sizes(s):
-        limits = f"{size.min_mm if size.min_mm is not None else '?'} .. {size.max_mm if size.max_mm is not None else '?'}"
-        state = "verified" if size.verified else "unverified"
-        yield f"  {name:28} {size.nominal_mm if size.nominal_mm is not None else '-'} mm  ({limits})  {state}  {size.source}"
+        nominal = f"{size.mm:g}" if size.mm is not None else "-"
+        limits = f"{_limit(size.min)} .. {_limit(size.max)}"
+        yield f"  {name:26} {nominal:>7} mm   limits {limits:16} {'verified' if size.verified else 'unverified':10}  {size.source or s.source}"
+
+
+def _limit(value: float | None) -> str:
+    return f"{value:g}" if value is not None else "not set"
 
 
 def budget_lines(config: Config, *, as_json: bool) -> Iterator[str]:
