@@ -132,6 +132,11 @@ def _resolve_named(at: str, quantity: Quantity, source: SignalSource, dbc: DbcMe
         found = signal(name, "signal")
         if found.conversion.is_float:
             raise ConfigError(f"{at}.signal = {name!r}: floating-point signals are not read; name another")
+        if _slice_of(found).bytes_needed > int(message.length):
+            raise ConfigError(
+                f"{at}.signal = {name!r} reaches beyond the {message.length} bytes of message {source.message} in {dbc_name}; "
+                "describe it directly (id, start_bit, length ...)"
+            )
         parts.append(
             Scaled(
                 _slice_of(found),
