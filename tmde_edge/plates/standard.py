@@ -107,6 +107,11 @@ class PlateStandard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         """Whether the characters are lighter than their ground."""
         return self.ink in ("white", "yellow") and self.background not in ("white", "yellow")
 
+    def class_counts(self) -> dict[str, int]:
+        """How many characters of each glyph class the typical layout has."""
+        text = "".join(self.rows)
+        return {key: text.count(key) for key in self.glyphs}
+
     @property
     def main_class(self) -> GlyphClass:
         """The class of the tallest characters."""
@@ -129,19 +134,17 @@ class PlateStandard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     def pitch_belief(self) -> tuple[float, float] | None:
         """Centre-to-centre distance of neighbouring main characters and its sigma in mm, or None.
 
-        From the stated pitch; else from one width for letters and digits plus the gap, where both are stated.
+        From the stated pitch; else the mean width of letters and digits plus the gap, where they are stated.
         """
         main = self.main_class
         if main.pitch is not None:
             return main.pitch.belief("pitch")
-        width = main.letter_width
-        if width is None or main.gap is None or width.mm is None or main.gap.mm is None:
+        widths = [w.mm for w in (main.letter_width, main.digit_width) if w is not None and w.mm is not None]
+        if not widths or main.letter_width is None or main.gap is None or main.gap.mm is None:
             return None
-        if main.digit_width is not None and main.digit_width.mm != width.mm:
-            return None
-        sure = width.verified and main.gap.verified
-        pitch = width.mm + main.gap.mm
-        return pitch, DEFAULT_SIGMA["pitch"][0 if sure else 1] * pitch
+        sure = main.letter_width.verified and main.gap.verified
+        pitch = sum(widths) / len(widths) + main.gap.mm
+        return pitch, max(DEFAULT_SIGMA["pitch"][0 if sure else 1] * pitch, max(widths) - min(widths))
 
 
 class _File(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

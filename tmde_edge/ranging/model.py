@@ -36,6 +36,7 @@ class Expectation:
 
     standard: PlateStandard
     keys: tuple[str, ...]
+    share: Floats  # (k,) of the characters that belong to each class
     size_m: Floats  # (k + 3,)
     sizes: Sizes  # prior about log(true or visible size / size_m)
     has_outline: bool
@@ -52,19 +53,23 @@ def expectation(standard: PlateStandard, settings: RangingSettings) -> Expectati
     outline = standard.outline_belief()
     main = standard.main_key
     distinct: dict[str, tuple[float, float]] = {}
+    counts: dict[str, int] = {}
     for key in sorted(standard.glyphs, key=lambda k: k != main):
         height = standard.glyphs[key].height
         if height is None:
             continue
         mean, sigma = height.belief("glyph_height")
-        # Classes nearer than a few per cent cannot be told apart: they share one height.
-        if all(abs(np.log(mean / other)) > 0.05 for other, _ in distinct.values()):
-            distinct[key] = (mean, sigma)
+        # Classes within a few per cent cannot be told apart: they share one height.
+        near = next((k for k, (other, _) in distinct.items() if abs(np.log(mean / other)) < 0.05), None)
+        if near is None:
+            distinct[key], counts[key] = (mean, sigma), standard.class_counts()[key]
+        else:
+            counts[near] += standard.class_counts()[key]
     has_glyph = main in distinct
     if not has_glyph:
         share = UNKNOWN_GLYPH_OF_HEIGHT[min(len(standard.rows), 2) - 1]
         guess = share * (outline[1][0] if outline else UNKNOWN_OUTLINE_MM[1])
-        distinct = {main: (guess, UNKNOWN_SIGMA * guess)}
+        distinct, counts = {main: (guess, UNKNOWN_SIGMA * guess)}, {main: 1}
     heights = list(distinct.values())
     if outline is None:
         w, h = UNKNOWN_OUTLINE_MM
@@ -76,9 +81,11 @@ def expectation(standard: PlateStandard, settings: RangingSettings) -> Expectati
     pitch = standard.pitch_belief() or (guess, UNKNOWN_SIGMA * guess)
     every = np.array([*heights, *outline_sizes, pitch])
     relative = every[:, 1] / every[:, 0]
+    members = np.array([counts[k] for k in distinct], dtype=np.float64)
     return Expectation(
-        standard=standard, keys=tuple(distinct), size_m=every[:, 0] / 1000, has_outline=outline is not None, has_glyph=has_glyph,
-        has_pitch=standard.pitch_belief() is not None, sizes=Sizes(np.zeros(len(every)), np.diag(relative**2)),
+        standard=standard, keys=tuple(distinct), share=members / max(float(members.sum()), 1.0), size_m=every[:, 0] / 1000,
+        has_outline=outline is not None, has_glyph=has_glyph, has_pitch=standard.pitch_belief() is not None,
+        sizes=Sizes(np.zeros(len(every)), np.diag(relative**2)),
     )
 
 
@@ -137,6 +144,12 @@ def assign_classes(expected: Expectation, features: Features, distance_m: float)
         if cost < best_cost:
             best_cost, best = cost, chosen.astype(np.int64)
     return best, best_cost
+
+
+def misplaced(expected: Expectation, glyph_class: Ints) -> float:
+    """How many characters would have to change their height class to give the standard's usual shares."""
+    seen = np.bincount(glyph_class[glyph_class >= 0], minlength=expected.classes)
+    return float(np.abs(seen - seen.sum() * expected.share).sum() / 2)
 
 
 def build_model(expected: Expectation, features: Features, known: Sizes, bias: Floats, glyph_class: Ints,

@@ -19,7 +19,7 @@ from tmde_edge.ranging import cues, fuse
 from tmde_edge.ranging.classify import StandardClass, classes, layout_log_likelihood, shape_log_likelihood
 from tmde_edge.ranging.features import Features, clusters, gather
 from tmde_edge.ranging.fit import LEAN, LOG_D, POSE, ROLL, YAW, Fit, U, V, solve
-from tmde_edge.ranging.model import assign_classes, build_model, first_distance_m, size_bias, starts
+from tmde_edge.ranging.model import assign_classes, build_model, first_distance_m, misplaced, size_bias, starts
 from tmde_edge.ranging.scale_memory import Sizes, TrackScale, carried_belief, learn
 from tmde_edge.ranging.settings import RangingSettings
 
@@ -29,6 +29,7 @@ _AMBIGUOUS_COST = 9.0  # a second pose within this cost of the best is kept in t
 _MISFIT_SIGMAS = 5.0  # a plate whose proportions differ this much from the learned ones is another plate
 _MISFITS_TO_RESET = 3
 _UNASSIGNED_COST = 9.0  # of a glyph that fits no class of a standard
+_MISPLACED_COST = 3.0  # of a glyph of another height than the standard's layout has there
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,6 +141,7 @@ class Ranger:
         log_d, spread = fuse.mixture(weights, [f.x[LOG_D] for f in fits], [0.0] * len(fits))
         _, yaw_sigma = fuse.mixture(weights, [f.x[YAW] for f in fits], [f.covariance[YAW, YAW] ** 0.5 for f in fits])
         lost = float(np.sum(glyph_class < 0)) * _UNASSIGNED_COST
+        lost += _MISPLACED_COST * max(misplaced(expected, glyph_class) - 1.0, 0.0)  # one may be missed or misread
         return _Answer(
             group=group, log_d=log_d, noise_var=float(best.noise[LOG_D, LOG_D]) + spread**2,
             prior_var=float(best.prior[LOG_D, LOG_D]), fit=best, glyph_class=glyph_class,
