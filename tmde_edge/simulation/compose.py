@@ -118,17 +118,19 @@ class Region:
     def _blend(self, colour: Image, cover: Image, opacity: float, rows: slice, cols: slice) -> None:
         part = self.pixels[rows, cols]
         if opacity >= 1.0:
-            solid = cover == 255
-            part[solid] = colour[solid]
-            edge = (cover > 0) & ~solid
+            cv2.copyTo(colour, cv2.inRange(cover, 255, 255), part)
+            soft = np.flatnonzero(cv2.inRange(cover, 1, 254))
         else:
-            edge = cover > 0
-        if not edge.any():
+            soft = np.flatnonzero(cover)
+        if soft.size * 8 > cover.size:
+            weight = cover.astype(np.float32) * np.float32(opacity / 255)
+            part[:] = cv2.blendLinear(colour, part, weight, np.float32(1.0) - weight)
             return
-        base = part[edge].astype(np.float32)
-        weight = cover[edge].astype(np.float32)[:, None] * np.float32(opacity / 255)
-        base += weight * (colour[edge].astype(np.float32) - base)
-        part[edge] = (base + 0.5).astype(np.uint8)
+        r, c = np.divmod(soft, cover.shape[1])
+        base = part[r, c].astype(np.float32)
+        some = cover[r, c].astype(np.float32)[:, None] * np.float32(opacity / 255)
+        base += some * (colour[r, c].astype(np.float32) - base)
+        part[r, c] = (base + 0.5).astype(np.uint8)
 
     def done(self) -> None:
         """Average the window back into the image."""

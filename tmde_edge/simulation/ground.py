@@ -96,10 +96,12 @@ def horizon_row(camera: SimCamera, pitch_rad: float) -> float:
     return float(camera.cy_px - camera.fy_px * np.tan(pitch_rad))
 
 
-def paint_ground(image: Image, camera: SimCamera, pitch_rad: float, ahead: RoadAhead, style: RoadStyle) -> Rows:
-    """Sky, skyline and ground into the whole image."""
+def paint_ground(image: Image, camera: SimCamera, pitch_rad: float, ahead: RoadAhead, style: RoadStyle,
+                 slope: float = 0.0) -> Rows:
+    """Sky, skyline and ground into the whole image; slope: of the road under us, up positive."""
     rows = rows_of(camera, pitch_rad, ahead)
-    _paint_sky(image, camera, pitch_rad, ahead, style, rows)
+    # the sky is level, the road under us need not be
+    _paint_sky(image, camera, pitch_rad - float(np.arctan(slope)), ahead, style, rows)
     textures = _ground_textures(style)
     start = rows.first
     columns = ((np.arange(camera.width_px) - camera.cx_px) / camera.fx_px).astype(np.float32)

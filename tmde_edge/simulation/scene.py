@@ -94,23 +94,43 @@ def plate_corners_px(view: View, vehicle: VehicleAt) -> Array:
 
 def render(
     view: View, pitch_rad: float, roll_rad: float, ahead: RoadAhead, style: RoadStyle, vehicles: list[VehicleAt],
-    cards: list[CardAt], light: Light = DAY,
+    cards: list[CardAt], light: Light = DAY, *, slope: float = 0.0, tunnel_z_m: float | None = None,
 ) -> Image:
-    """BGR image of the instant; pitch and roll are the whole attitude that `view` holds (the ground needs them apart)."""
+    """BGR image of the instant; pitch and roll are the whole attitude that `view` holds (the ground needs them apart).
+
+    slope: of the road under us, up positive. tunnel_z_m: we are in a tunnel whose portal is that far ahead.
+    """
     camera = view.camera
     image: Image = np.empty((camera.height_px, camera.width_px, 3), np.uint8)
-    paint_ground(image, camera, pitch_rad, ahead, style)
+    paint_ground(image, camera, pitch_rad, ahead, style, slope)
     if roll_rad != 0.0:
         _roll(image, view, roll_rad)
     if light.headlamps > 0.0 or light.ambient != 1.0:
         _light_ground(image, view, pitch_rad, light)
     things: list[tuple[float, VehicleAt | CardAt]] = [(c.z_m, c) for c in cards] + [(v.z_m, v) for v in vehicles]
     for _, thing in sorted(things, key=lambda item: -item[0]):
+        behind = _hidden_from_row(view, ahead, thing.z_m, thing.down_m)
+        kept = None if behind is None else image[behind:].copy()
         if isinstance(thing, CardAt):
             _paint_card(image, view, thing, light)
         else:
             _paint_vehicle(image, view, thing, light)
+        if kept is not None:
+            image[behind:] = kept
     return image
+
+
+def _hidden_from_row(view: View, ahead: RoadAhead, z_m: float, down_m: float) -> int | None:
+    """First image row in which a crest hides what stands at z; None where the road is seen all the way."""
+    nearer = ahead.z_m < z_m
+    if z_m <= 0 or not nearer.any():
+        return None
+    slopes = (ahead.down_m / ahead.z_m)[nearer]
+    blocked = float(slopes.min())
+    if blocked >= down_m / z_m - 1e-6:
+        return None
+    row = float(view.project(np.array([[0.0, blocked * z_m, z_m]]))[0, 1])
+    return int(np.clip(np.ceil(row), 0, view.camera.height_px))
 
 
 def _roll(image: Image, view: View, roll_rad: float) -> None:

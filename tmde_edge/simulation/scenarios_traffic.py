@@ -1,0 +1,3 @@
+"""Scenarios of traffic in which nothing, or nothing yet, is to be warned of."""
+
+from __future__ import annotations
