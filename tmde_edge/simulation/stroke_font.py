@@ -213,6 +213,8 @@ def _fillet(
         return [corner]
     a, b = to_before / leg_before, to_after / leg_after
     half_angle = math.acos(max(-1.0, min(1.0, float(a @ b)))) / 2
+    if not 1e-6 < half_angle < math.pi / 2 - 1e-6:  # the path turns back or goes straight on
+        return [corner]
     tangent = min(radius_mm / math.tan(half_angle), leg_before / 2, leg_after / 2)
     radius = tangent * math.tan(half_angle)
     bisector = (a + b) / float(np.hypot(*(a + b)))

@@ -111,3 +111,9 @@ def test_unknown_mark_kind_is_an_error() -> None:
     spec = FaceSpec(width_mm=10, height_mm=10, glyphs=(), background_bgr=(9, 9, 9), ink_bgr=(0, 0, 0), marks=(mark,))
     with pytest.raises(ValueError, match="star"):
         render_face(spec, 1.0)
+
+
+@pytest.mark.parametrize("char", "O0S8BCG&")
+def test_a_letter_no_wider_than_its_stroke_is_still_ink(char: str) -> None:
+    face = render_face(one_glyph(char, left=-5, top=-30, width=8, height=60, stroke=8), 4.0)
+    assert ink_box_px(face) == pytest.approx((180, 100, 212, 340), abs=0.2)

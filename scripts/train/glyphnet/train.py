@@ -1,0 +1,104 @@
+"""Trains GlyphNet on shards. usage: train.py SHARDS --out FOLDER [--minutes 45] [--seed 1]; goes on where it stopped."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import time
+from pathlib import Path
+
+import numpy as np
+import torch
+from net import GlyphNet
+from targets import jitter, losses
+
+from tmde_edge.vision.segment.glyph_crop import normalise
+
+
+def load(file: Path) -> dict[str, np.ndarray]:
+    """One shard's arrays."""
+    with np.load(file) as z:
+        return {k: z[k] for k in ("canvas", "plate", "corners", "glyphs", "light")}
+
+
+def mirror_parts(data: dict[str, np.ndarray]) -> dict[str, torch.Tensor]:
+    """Tensors of everything but the canvas."""
+    return {k: torch.from_numpy(v) for k, v in data.items() if k != "canvas"}
+
+
+def main() -> None:
+    """Cosine schedule over the given minutes of training time; a checkpoint after every shard."""
+    p = argparse.ArgumentParser()
+    p.add_argument("shards", type=Path)
+    p.add_argument("--out", type=Path, required=True)
+    p.add_argument("--minutes", type=float, default=45)
+    p.add_argument("--seed", type=int, default=1)
+    p.add_argument("--batch", type=int, default=64)
+    p.add_argument("--rate", type=float, default=4e-3)
+    p.add_argument("--start", type=Path, help="weights to start from")
+    a = p.parse_args()
+    torch.set_num_threads(1)
+    torch.manual_seed(a.seed)
+    a.out.mkdir(parents=True, exist_ok=True)
+    net = GlyphNet().to(memory_format=torch.channels_last)
+    if a.start:
+        net.load_state_dict(torch.load(a.start)["ema"])
+    ema = {k: v.clone() for k, v in net.state_dict().items()}
+    opt = torch.optim.AdamW(net.parameters(), lr=a.rate, weight_decay=1e-4)
+    state = {"step": 0, "seconds": 0.0, "pass": 0}
+    last = a.out / "last.pt"
+    if last.exists():
+        saved = torch.load(last)
+        net.load_state_dict(saved["net"])
+        opt.load_state_dict(saved["opt"])
+        ema, state = saved["ema"], saved["state"]
+    while state["seconds"] < a.minutes * 60:
+        files = sorted(f for f in a.shards.glob("shard_*.npz") if ".tmp" not in f.name)
+        if not files:
+            time.sleep(5)
+            continue
+        rng = np.random.default_rng([a.seed, state["pass"]])
+        state["pass"] += 1
+        # new shards arrive while training: draw one, the newest more often
+        pick = files[int(rng.integers(len(files)))] if state["pass"] > 2 * len(files) or rng.random() < 0.5 else files[state["pass"] % len(files)]
+        data = load(pick)
+        began = time.monotonic()
+        net.train()
+        sums: dict[str, float] = {}
+        order = rng.permutation(len(data["plate"]))
+        rest = mirror_parts(data)
+        steps = len(order) // a.batch
+        for k in range(steps):
+            now = (state["seconds"] + time.monotonic() - began) / (a.minutes * 60)
+            rate = a.rate * min(1.0, (state["step"] + 1) / 200) * (0.02 + 0.98 * 0.5 * (1 + math.cos(math.pi * min(now, 1.0))))
+            for group in opt.param_groups:
+                group["lr"] = rate
+            index = order[k * a.batch : (k + 1) * a.batch]
+            x = torch.from_numpy(normalise(jitter(data["canvas"][index], rng))).to(memory_format=torch.channels_last)
+            batch = {key: value[torch.from_numpy(index)] for key, value in rest.items()}
+            parts = losses(net(x), batch)
+            loss = sum(parts.values())
+            opt.zero_grad()
+            loss.backward()
+            torch.nn.utils.clip_grad_norm_(net.parameters(), 5.0)
+            opt.step()
+            state["step"] += 1
+            decay = min(0.998, state["step"] / (state["step"] + 50))
+            with torch.no_grad():
+                for key, value in net.state_dict().items():
+                    if value.dtype.is_floating_point:
+                        ema[key].lerp_(value, 1 - decay)
+                    else:
+                        ema[key].copy_(value)
+            for key, value in parts.items():
+                sums[key] = sums.get(key, 0.0) + float(value)
+        state["seconds"] += time.monotonic() - began
+        torch.save({"net": net.state_dict(), "opt": opt.state_dict(), "ema": ema, "state": state}, last)
+        print(json.dumps({"pass": state["pass"], "min": round(state["seconds"] / 60, 2), "sps": round(steps * a.batch / (time.monotonic() - began)), "shards": len(files),
+                          "rate": round(rate, 5), **{k: round(v / steps, 4) for k, v in sums.items()}}), flush=True)
+    torch.save({"ema": ema, "state": state}, a.out / "final.pt")
+
+
+if __name__ == "__main__":
+    main()
