@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import io
 import re
+import struct
 import sys
 import zlib
 from collections.abc import Iterator
@@ -20,6 +21,10 @@ _LINE = re.compile(
 )
 _ERROR_FLAG = 0x20000000
 _KINDS = {".log": "candump", ".asc": "asc", ".blf": "blf", ".trc": "trc"}
+_BROKEN = (  # what python-can's readers meet in a damaged file
+    ValueError, LookupError, TypeError, AssertionError, ArithmeticError, AttributeError, NotImplementedError,
+    struct.error, zlib.error,
+)  # fmt: skip
 _FRACTION = [10 ** (9 - digits) for digits in range(10)]
 
 
@@ -144,6 +149,7 @@ def _candump(path: Path, file: IO[bytes]) -> Iterator[CanFrame]:
 
 def _python_can(path: Path, file: IO[bytes], kind: str) -> Iterator[CanFrame]:
     import can  # slow to import: only for these formats
+    from can.io.blf import BLFParseError
 
     text = file if kind == "blf" else io.TextIOWrapper(file, encoding="utf-8", errors="replace")
     reader: Any = None
@@ -164,7 +170,7 @@ def _python_can(path: Path, file: IO[bytes], kind: str) -> Iterator[CanFrame]:
                 extended=message.is_extended_id,
                 channel="" if message.channel is None else str(message.channel),
             )
-    except (ValueError, IndexError, KeyError, NotImplementedError, TypeError, AssertionError, can.CanError, ArithmeticError) as e:
+    except (*_BROKEN, can.CanError, BLFParseError) as e:
         raise InputDataError(
             f"CAN log {path}: not readable as {kind} after {count} frames ({type(e).__name__}: {' '.join(str(e).split())[:80]}); "
             f"check that it is a .{kind} file"
