@@ -157,14 +157,19 @@ class CanPort:
             self._stop.wait(0.0 if self._stop.is_set() else back_off.pause_s())
 
     def _receive_from(self, bus: Any, back_off: BackOff) -> None:
+        import can
+
         opened_s = time.monotonic()
         while not self._stop.is_set():
             try:
                 message = bus.recv(_RECEIVE_S)
-            except (ValueError, IndexError):  # noise on a serial line; UnicodeDecodeError too
-                self.counters.garbled += 1
-                if hasattr(bus, "flush"):
-                    bus.flush()  # slcan keeps the bad bytes otherwise
+            except (ValueError, IndexError):  # noise on a serial line
+                self._on_noise(bus)
+                continue
+            except can.CanOperationError as e:
+                if not isinstance(e.__cause__, ValueError):
+                    raise
+                self._on_noise(bus)  # bytes that are no text: python-can wraps them
                 continue
             if message is not None or time.monotonic() - opened_s > 1.0:
                 self._bus_fault.clear()
@@ -175,6 +180,11 @@ class CanPort:
                 self._on_error_frame(message.arbitration_id)
             elif not message.is_remote_frame:
                 self._deliver(message)
+
+    def _on_noise(self, bus: Any) -> None:
+        self.counters.garbled += 1
+        if hasattr(bus, "flush"):
+            bus.flush()  # slcan keeps the bad bytes otherwise
 
     def _on_error_frame(self, flags: int) -> None:
         self.counters.error_frames += 1
