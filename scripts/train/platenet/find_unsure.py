@@ -1,5 +1,7 @@
 #!/usr/bin/env python3
-"""Lists places in the training frames that an earlier PlateNet takes for plates though no label says so: later training ignores them.
+"""Lists places in the training frames that an earlier PlateNet takes for plates though no label says so.
+
+A person looked at each and sorted them: ../dashcam_ro_extra.json holds plates (learnt, their corners hardly) and unsure ones (ignored); the rest were none.
 
 usage: find_unsure.py --model FILE.onnx --dashcam FOLDER --out unsure.json [--score 0.3] [--sheet OUT.png]
 """

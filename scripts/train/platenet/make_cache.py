@@ -44,9 +44,9 @@ def build_banks(a: argparse.Namespace, seed: int, frames: set[str] | None = None
         cached.write_bytes(pickle.dumps((faces, cards)))
     names = sorted(f.name for f in a.dashcam.glob("*.jpg"))
     held = (HERE.parent / "dashcam_ro_holdout.txt").read_text().split()
-    unsure = json.loads(a.unsure.read_text()) if a.unsure else {}
+    extra = json.loads((HERE.parent / "dashcam_ro_extra.json").read_text())
     use = set(training_names(names, held)) if frames is None else frames
-    return Banks(faces, cards, load_photos(a.photos), load_frames(a.dashcam, use, unsure), load_cliparts(a.cliparts), fonts)
+    return Banks(faces, cards, load_photos(a.photos), load_frames(a.dashcam, use, extra), load_cliparts(a.cliparts), fonts)
 
 
 def main() -> None:
@@ -55,7 +55,6 @@ def main() -> None:
     p.add_argument("--photos", nargs="*", default=[])
     p.add_argument("--cliparts", default="/usr/share/openclipart/png")
     p.add_argument("--fonts", default="/usr/share/fonts")
-    p.add_argument("--unsure", type=Path, help="JSON: image -> boxes that may be unlabelled plates")
     p.add_argument("--out", type=Path, required=True)
     p.add_argument("--shards", type=int, default=100)
     p.add_argument("--first", type=int, default=0)

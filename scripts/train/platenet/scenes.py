@@ -28,10 +28,11 @@ class Label:
 
 @dataclass
 class Frame:
-    """An in-car frame and the labelled boxes in it, and boxes that may be unlabelled plates."""
+    """An in-car frame, the labelled boxes in it, plates that we found in it beside the labels, and places that may be plates."""
 
     image: Image8
     boxes: list[tuple[float, float, float, float]] = field(default_factory=list)
+    found: list[tuple[float, float, float, float]] = field(default_factory=list)
     unsure: list[tuple[float, float, float, float]] = field(default_factory=list)
 
 
@@ -47,7 +48,12 @@ class Banks:
     fonts: Fonts
 
 
-def load_frames(folder: Path, names: set[str], unsure: dict[str, list[tuple[float, float, float, float]]]) -> list[Frame]:
+def extra_of(extra: dict[str, list[tuple[float, float, float, float]]]) -> dict[str, list[tuple[float, float, float, float]]]:
+    """The entry of dashcam_ro_extra.json as Frame's fields."""
+    return {"found": extra.get("plates", []), "unsure": extra.get("unsure", [])}
+
+
+def load_frames(folder: Path, names: set[str], extra: dict[str, dict[str, list[tuple[float, float, float, float]]]]) -> list[Frame]:
     """The named images of a folder with labels.csv (columns image, x, y, w, h)."""
     boxes: dict[str, list[tuple[float, float, float, float]]] = {}
     with open(folder / "labels.csv", newline="") as f:
@@ -59,7 +65,7 @@ def load_frames(folder: Path, names: set[str], unsure: dict[str, list[tuple[floa
         img = cv2.imread(str(folder / name), cv2.IMREAD_COLOR)
         if img is None:
             raise FileNotFoundError(folder / name)
-        out.append(Frame(np.asarray(img, np.uint8), boxes.get(name, []), unsure.get(name, [])))
+        out.append(Frame(np.asarray(img, np.uint8), boxes.get(name, []), **extra_of(extra.get(name, {}))))
     return out
 
 
@@ -227,7 +233,8 @@ class Composer:
     def _street(self, rng: Rng, side: int, labels: list[Label]) -> ImageF:
         f = self.b.frames[int(rng.integers(len(self.b.frames)))]
         h, w = f.image.shape[:2]
-        box = f.boxes[int(rng.integers(len(f.boxes)))] if f.boxes and rng.random() < 0.72 else None
+        places = f.boxes + f.found
+        box = places[int(rng.integers(len(places)))] if places and rng.random() < 0.72 else None
         big = side > 300
         if box is not None:
             want = np.exp(rng.uniform(np.log(60 if big else 9), np.log(330 if big else 130)))
@@ -276,6 +283,8 @@ class Composer:
                     labels.append(Label(quad))
                     continue
             labels.append(Label(q, 0.5))
+        for b in f.found:
+            labels.append(Label(to_patch(b), 0.1))
         for b in f.unsure:
             labels.append(Label(to_patch(b), 0.0, IGNORE))
         return np.clip(img, 0, 255)
