@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from tmde_edge.vision.edge_model import fit_edges
 from tmde_edge.vision.protocols import Image
 from tmde_edge.vision.rectify import bounds, is_convex, size_px, to_grey
 
 Array = NDArray[np.float64]
-STEP_PX = 0.25  # between samples of a profile
+STEP_PX = 0.25  # between samples of a fine profile
+COARSE_STEPS = 28  # samples on either side of the given outline when the side's direction is looked for
 SMOOTH_PX = 0.6  # one sigma of the derivative of Gaussian
-ENDS = 0.07  # of a side left out at either end: rounded corners
-REACH_OF_HEIGHT = 0.16  # how far from the given outline an edge is looked for, in plate heights
+ENDS = 0.08  # of a side left out at either end: rounded corners
+REACH_OF_HEIGHT = 0.13  # how far from the given outline an edge is looked for, in plate heights
 MIN_REACH_PX = 2.5
-TILT_OF_HEIGHT = 0.10  # how much the two ends of a side may move against each other
-MIN_STEP_GREY = 5.0  # mean contrast over the edge, grey levels
+TILT_OF_HEIGHT = 0.12  # how much the two ends of a side may move against each other
+MIN_STEP_GREY = 8.0  # contrast over the edge, grey levels
+STEP_SHARE = 0.14  # of the profile's whole contrast: smaller steps are noise
+GIVEN_OF_HEIGHT = 0.06  # one sigma of the given outline, in plate heights
 PIECES = 10  # a side is measured in this many pieces
 FLOOR_PX = 0.05  # of one side's sigma: sampling and lens, which no residual shows
 
@@ -53,11 +57,10 @@ def refine_outline(image: Image, corners_px: Array) -> OutlineFit:
         return OutlineFit(corners_px=corners_px, sigma_px=MIN_REACH_PX, refined=False, blur_px=None)
     height_px = size_px(corners_px)[1]
     reach = max(MIN_REACH_PX, REACH_OF_HEIGHT * height_px)
-    patch, shift = _patch(image, corners_px, reach + 4)
-    sides: list[_Side | None] = []
-    for i in range(4):
-        a, b = corners_px[i] - shift, corners_px[(i + 1) % 4] - shift
-        sides.append(_fit_side(patch, a, b, reach, TILT_OF_HEIGHT * height_px))
+    patch, shift = _patch(image, corners_px, 1.5 * reach + 4)
+    if _dark_ground(patch, corners_px - shift):
+        patch = 255.0 - patch
+    sides = _fit_sides(patch, corners_px - shift, reach, height_px)
     lines = []
     for i, side in enumerate(sides):
         a, b = corners_px[i], corners_px[(i + 1) % 4]
@@ -75,6 +78,20 @@ def refine_outline(image: Image, corners_px: Array) -> OutlineFit:
         refined=len(found) == 4,
         blur_px=float(np.median([s.blur_px for s in found])),
     )
+
+
+def _dark_ground(patch: NDArray[np.float32], corners_px: Array) -> bool:
+    """Whether the plate's ground is its dark part: most of the inside is ground."""
+    middle = corners_px.mean(axis=0)
+    grid = np.stack(np.meshgrid(np.linspace(-0.8, 0.8, 33), np.linspace(-0.7, 0.7, 15)), axis=-1)
+    along, down = (corners_px[1] - corners_px[0]) / 2, (corners_px[3] - corners_px[0]) / 2
+    at = (middle + grid[..., :1] * along + grid[..., 1:] * down).astype(np.float32)
+    inside = cv2.remap(patch, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    grey = inside[np.isfinite(inside)]
+    if len(grey) == 0:
+        return False
+    low, high = np.percentile(grey, (4, 96))
+    return bool(np.median(grey) < (low + high) / 2)
 
 
 def _outward(a: Array, b: Array) -> Array:
@@ -98,101 +115,195 @@ def _patch(image: Image, corners_px: Array, margin_px: float) -> tuple[NDArray[n
     return np.asarray(patch, dtype=np.float32), np.array([left, top], np.float64)
 
 
-def _profiles(patch: NDArray[np.float32], a: Array, b: Array, reach: float) -> tuple[Array, Array, Array]:
-    """Samples (n, m) across a side: positions along it (n,) 0..1, offsets outward (m,) px, grey levels."""
-    length = float(np.hypot(*(b - a)))
-    n = int(np.clip(round(length * (1 - 2 * ENDS)), 2 * PIECES, 96))
-    along = np.linspace(ENDS, 1 - ENDS, n, dtype=np.float64)
-    m = int(np.ceil((reach + 3 * SMOOTH_PX) / STEP_PX))
-    across = np.asarray(np.arange(-m, m + 1) * STEP_PX, dtype=np.float64)
-    normal = _outward(a, b)
-    xy = a + along[:, None, None] * (b - a) + across[None, :, None] * normal
-    maps = xy.astype(np.float32)
+def _profiles(
+    patch: NDArray[np.float32], a: Array, b: Array, rows: int, across_px: Array, line_px: tuple[float, float] = (0.0, 0.0)
+) -> tuple[Array, Array]:
+    """Positions along a side (n,), -0.5..0.5, and grey levels (n, m) at offsets across_px outward of a line near it.
+
+    line_px: that line's outward offset at the side's middle, and its difference between the ends. Rows that leave the
+    image are left out.
+    """
+    along = np.linspace(-0.5 + ENDS, 0.5 - ENDS, rows, dtype=np.float64)
+    outward = line_px[0] + along * line_px[1]
+    xy = (a + b) / 2 + along[:, None, None] * (b - a) + (outward[:, None] + across_px)[..., None] * _outward(a, b)
+    at = xy.astype(np.float32)
     grey = cv2.remap(
-        patch, maps[..., 0], maps[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan")
+        patch, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan")
     )
-    return along, across, np.asarray(grey, dtype=np.float64)
-
-
-def _derivative(grey: Array) -> Array:
-    """Derivative across, grey levels a pixel, by a Gaussian of SMOOTH_PX."""
-    half = int(np.ceil(3 * SMOOTH_PX / STEP_PX))
-    x = np.arange(-half, half + 1) * STEP_PX
-    gauss = np.exp(-0.5 * (x / SMOOTH_PX) ** 2)
-    gauss /= gauss.sum()
-    kernel = x / SMOOTH_PX**2 * gauss  # correlation with it differentiates
-    windows = np.lib.stride_tricks.sliding_window_view(grey, 2 * half + 1, axis=1)
-    return np.asarray(windows @ kernel)
-
-
-def _fit_side(patch: NDArray[np.float32], a: Array, b: Array, reach: float, tilt_px: float) -> _Side | None:
-    """The strongest straight edge near a side, nearer ones preferred; None where there is none."""
-    along, across, grey = _profiles(patch, a, b, reach)
     whole = np.isfinite(grey).all(axis=1)
-    if whole.mean() < 0.6:
-        return None
-    along, grey = along[whole], grey[whole]
-    slope = _derivative(grey)
-    cut = (len(across) - slope.shape[1]) // 2
-    offsets = across[cut : len(across) - cut]
-    guess = _strongest_line(along, offsets, slope, reach, tilt_px)
+    return along[whole], np.asarray(grey[whole], dtype=np.float64)
+
+
+def _derivative(grey: Array, step_px: float, smooth_px: float) -> Array:
+    """Derivative along the last axis, grey levels a pixel, by a Gaussian; repeated ends, same length."""
+    half = int(np.ceil(3 * smooth_px / step_px))
+    x = np.arange(-half, half + 1) * step_px
+    gauss = np.exp(-0.5 * (x / smooth_px) ** 2)
+    kernel = (x / smooth_px**2 * gauss / gauss.sum()).astype(np.float64)
+    flat = np.atleast_2d(grey)
+    out = cv2.filter2D(flat, cv2.CV_64F, kernel[None, :], borderType=cv2.BORDER_REPLICATE)
+    return np.asarray(out, dtype=np.float64).reshape(grey.shape)
+
+
+def _fit_sides(patch: NDArray[np.float32], corners_px: Array, reach: float, height_px: float) -> list[_Side | None]:
+    """The plate's edge near each side: direction, the first step's pieces, then the edge model; None where none shows."""
+    step = max(STEP_PX, reach / 48)
+    across = np.asarray(np.arange(np.floor(-1.3 * reach / step), np.ceil(1.3 * reach / step) + 1) * step, np.float64)
+    inner: list[_Side | None] = []
+    profiles, starts = [], []
+    for i in range(4):
+        a, b = corners_px[i], corners_px[(i + 1) % 4]
+        found = _first_step(patch, a, b, reach, height_px, across)
+        inner.append(None if found is None else found[0])
+        if found is not None:
+            profiles.append(found[1])
+            starts.append((found[0].at_start_px + found[0].at_end_px) / 2)
+    if not profiles:
+        return inner
+    ink = _ink_level(patch, corners_px)
+    fits = fit_edges(np.array(profiles), across, np.array(starts), height_px, ink, GIVEN_OF_HEIGHT * height_px)
+    sides: list[_Side | None] = []
+    for side in inner:
+        if side is None:
+            sides.append(None)
+            continue
+        start = starts.pop(0)
+        without, with_border = fits.pop(0)
+        best, other = sorted((without, with_border), key=lambda f: f.misfit)
+        # how much better one model must explain the profile before the other is not believed at all
+        belief = 1 / (1 + np.exp(-min(30.0, 2 * (other.misfit / best.misfit - 1))))
+        doubt = abs(best.x_px - other.x_px) * np.sqrt(belief * (1 - belief))
+        shift = best.x_px - start
+        sides.append(
+            replace(
+                side, at_start_px=side.at_start_px + shift, at_end_px=side.at_end_px + shift, blur_px=best.spread_px,
+                sigma_px=float(np.sqrt(side.sigma_px**2 + best.sigma_px**2 + doubt**2)),
+            )
+        )  # fmt: skip
+    return sides
+
+
+def _first_step(
+    patch: NDArray[np.float32], a: Array, b: Array, reach: float, height_px: float, across: Array
+) -> tuple[_Side, Array] | None:
+    """The first edge outward from the ground as a line, and the mean profile along it; None where there is none."""
+    length = float(np.hypot(*(b - a)))
+    guess = _direction(patch, a, b, reach, TILT_OF_HEIGHT * height_px)
     if guess is None:
         return None
-    return _measure(along, offsets, slope, *guess)
+    rows = int(np.clip(length, 24, 72))
+    _, grey = _profiles(patch, a, b, rows, across, (0.0, guess[1]))
+    offset = first_step(np.median(grey, axis=0), across)
+    if offset is None:
+        return None
+    fine = np.asarray(np.arange(-16, 17) * STEP_PX, np.float64)
+    line = (offset, guess[1])
+    along, grey = _profiles(patch, a, b, int(np.clip(length, 4 * PIECES, 120)), fine, line)
+    side = _measure(along, fine, _derivative(grey, STEP_PX, SMOOTH_PX), line)
+    if side is None:
+        return None
+    _, grey = _profiles(patch, a, b, rows, across, (0.0, side.at_end_px - side.at_start_px))
+    return side, np.asarray(np.median(grey, axis=0), dtype=np.float64)
 
 
-def _strongest_line(
-    along: Array, offsets: Array, slope: Array, reach: float, tilt_px: float
-) -> tuple[float, float] | None:
+def _ink_level(patch: NDArray[np.float32], corners_px: Array) -> float:
+    """Grey level of the lettering: the darkest part of the plate's middle."""
+    x0, y0, x1, y1 = bounds(corners_px)
+    dx, dy = 0.12 * (x1 - x0), 0.25 * (y1 - y0)
+    middle = patch[max(0, int(y0 + dy)) : int(y1 - dy) + 1, max(0, int(x0 + dx)) : int(x1 - dx) + 1]
+    seen = middle[np.isfinite(middle)]
+    return float(np.percentile(seen, 4)) if len(seen) else 0.0
+
+
+def _direction(patch: NDArray[np.float32], a: Array, b: Array, reach: float, tilt_px: float) -> tuple[float, float] | None:
     """Offset at the middle and difference between the ends of the line with the most coherent edge.
 
     For every tilt the rows are shifted and averaged: lettering and clutter cancel, an edge along the whole side stays.
     """
-    k_max = max(1, round(tilt_px / (2 * STEP_PX)))
-    tilts = np.arange(-k_max, k_max + 1) * 2 * STEP_PX
+    step = max(0.5, reach / COARSE_STEPS)
+    across = np.asarray(np.arange(-np.ceil(reach / step) - 2, np.ceil(reach / step) + 3) * step)
+    rows = 32
+    along, grey = _profiles(patch, a, b, rows, across)
+    if len(along) < 0.6 * rows:
+        return None
+    slope = np.clip(_derivative(grey, step, max(SMOOTH_PX, step)), -60.0, 60.0)  # a lamp must not outvote the side
+    prior = np.exp(-0.5 * (across / (0.7 * reach)) ** 2)
     columns = np.arange(slope.shape[1])
-    prior = np.exp(-0.5 * (offsets / (0.6 * reach)) ** 2)
     best, best_value = None, 0.0
-    limited = np.clip(slope, -60.0, 60.0)  # a lamp beside the plate must not outvote the rest of the side
-    for tilt in tilts:
-        shift = np.rint((along - 0.5) * tilt / STEP_PX).astype(np.int64)
-        index = columns[None, :] + shift[:, None]
-        valid = (index >= 0) & (index < slope.shape[1])
-        taken = np.take_along_axis(limited, np.clip(index, 0, slope.shape[1] - 1), axis=1) * valid
+    for k in range(-max(1, round(tilt_px / (2 * step))), max(1, round(tilt_px / (2 * step))) + 1):
+        tilt = 2 * step * k
+        index = columns + np.rint(along * tilt / step).astype(np.int64)[:, None]
+        taken = np.take_along_axis(slope, np.clip(index, 0, slope.shape[1] - 1), axis=1)
         strength = np.abs(taken.mean(axis=0)) * prior
         top = int(strength.argmax())
         if strength[top] > best_value:
-            best_value, best = float(strength[top]), (float(offsets[top]), float(tilt))
-    # a step of c grey levels has the derivative c / (sqrt(2 pi) spread), spread at least the smoothing
-    if best is None or best_value < MIN_STEP_GREY / (np.sqrt(2 * np.pi) * 2 * SMOOTH_PX):
+            best_value, best = float(strength[top]), (float(across[top]), tilt)
+    # a step of c grey levels has the slope c / (sqrt(2 pi) spread), spread at least the smoothing
+    if best is None or best_value < MIN_STEP_GREY / (np.sqrt(2 * np.pi) * 2 * max(SMOOTH_PX, step)):
         return None
     return best
 
 
-def _measure(along: Array, offsets: Array, slope: Array, middle_px: float, tilt_px: float) -> _Side | None:
-    """Sub-pixel offsets of the line's pieces by the parabola through the derivative's peak, then a Tukey line fit."""
-    line = middle_px + (along - 0.5) * tilt_px
-    position = (line - offsets[0]) / STEP_PX
-    half = round(1.5 / STEP_PX)
-    index = np.rint(position).astype(np.int64)[:, None] + np.arange(-half, half + 1)
-    inside = (index[:, 0] >= 0) & (index[:, -1] < slope.shape[1])
-    if inside.sum() < 2 * PIECES // 2:
+def first_step(profile: Array, offsets_px: Array) -> float | None:
+    """Offset of the first step down of a light-ground profile, outward from its ground; None where it has no step."""
+    turns = _turning_points(profile, max(MIN_STEP_GREY, STEP_SHARE * float(np.ptp(profile))))
+    if len(turns) < 2:
         return None
-    rows = np.flatnonzero(inside)
-    near = np.take_along_axis(slope[rows], index[rows], axis=1)
-    quarter = half // 3
-    sign = 1.0 if near[:, half - quarter : half + quarter + 1].mean() >= 0 else -1.0
-    rounding = (np.rint(position[rows]) - position[rows]) * STEP_PX
+    inner = [t for t in turns[:-1] if offsets_px[t] < 0.3 * abs(float(offsets_px[0]))] or turns[:1]
+    ground_at = max(inner, key=lambda t: float(profile[t]))
+    return _steepest(profile, offsets_px, ground_at, turns[turns.index(ground_at) + 1])
+
+
+def _turning_points(profile: Array, least: float) -> list[int]:
+    """Indices of ends and extrema between which the profile rises or falls by at least `least`."""
+    turns, low, high, rising = [0], 0, 0, 0
+    for i in range(1, len(profile)):
+        if profile[i] < profile[low]:
+            low = i
+        if profile[i] > profile[high]:
+            high = i
+        if rising >= 0 and profile[high] - profile[i] >= least:
+            if high != turns[-1]:
+                turns.append(high)
+            rising, low = -1, i
+        elif rising <= 0 and profile[i] - profile[low] >= least:
+            if low != turns[-1]:
+                turns.append(low)
+            rising, high = 1, i
+    last = high if rising > 0 else low
+    if rising and last != turns[-1]:
+        turns.append(last)
+    return turns
+
+
+def _steepest(profile: Array, offsets_px: Array, i: int, j: int) -> float:
+    """Offset of the steepest place between two indices."""
+    slope = np.abs(np.diff(profile[i : j + 1]))
+    # several equal slopes: their middle
+    k = np.flatnonzero(slope >= 0.98 * slope.max()).mean()
+    step = float(offsets_px[1] - offsets_px[0])
+    return float(offsets_px[i] + (k + 0.5) * step)
+
+
+def _measure(along: Array, offsets: Array, slope: Array, line_px: tuple[float, float]) -> _Side | None:
+    """Sub-pixel offsets of the pieces of a line by the parabola through the slope's peak, then a Tukey line fit."""
+    if len(along) < 2 * PIECES:
+        return None
+    middle = len(offsets) // 2
+    near = slice(middle - 2, middle + 3)
+    sign = 1.0 if slope[:, near].mean() >= 0 else -1.0
+    window = slice(middle - 6, middle + 7)
     xs, ys, ws = [], [], []
-    for part in np.array_split(np.arange(len(rows)), min(PIECES, len(rows))):
-        mean = sign * near[part].mean(axis=0)
+    for part in np.array_split(np.arange(len(along)), PIECES):
+        mean = sign * slope[part, window].mean(axis=0)
         k = int(mean.argmax())
-        if k in (0, 2 * half) or mean[k] < MIN_STEP_GREY / 8:
+        if k in (0, len(mean) - 1) or mean[k] < MIN_STEP_GREY / 8:
             continue
         before, c, after = mean[k - 1 : k + 2]
-        peak = (k - half) + 0.5 * (before - after) / (before - 2 * c + after)
-        xs.append(float(along[rows[part]].mean() - 0.5))
-        ys.append(float(line[rows[part]].mean() + rounding[part].mean() + peak * STEP_PX))
+        x = float(along[part].mean())
+        xs.append(x)
+        peak = offsets[window][k] + 0.5 * (before - after) / (before - 2 * c + after) * STEP_PX
+        ys.append(float(line_px[0] + x * line_px[1] + peak))
         ws.append(float(np.sqrt(c)))
     if len(xs) < max(4, PIECES // 2):
         return None
@@ -200,8 +311,8 @@ def _measure(along: Array, offsets: Array, slope: Array, middle_px: float, tilt_
     if fit is None:
         return None
     at, tilt, sigma = fit
-    mean = sign * near.mean(axis=0)
-    spread = max(float(mean.sum() * STEP_PX / (np.sqrt(2 * np.pi) * max(mean.max(), 1e-6))), SMOOTH_PX)
+    peak_slope = sign * slope[:, window].mean(axis=0)
+    spread = float(np.clip(peak_slope, 0, None).sum() * STEP_PX / (np.sqrt(2 * np.pi) * max(peak_slope.max(), 1e-6)))
     return _Side(
         at_start_px=at - 0.5 * tilt,
         at_end_px=at + 0.5 * tilt,
