@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tmde_edge.geometry.pinhole import Camera, rotation_from_vector
+from tmde_edge.geometry.pinhole import Camera, rotation_from_vector, turn_clockwise
 
 Floats = NDArray[np.float64]
 
@@ -64,10 +64,14 @@ def poses_of_rays(points_mm: ArrayLike, rays: ArrayLike, focal_px: float = 1.0) 
         count, rotations, translations, _ = cv2.solvePnPGeneric(flat, xy, _EYE, _NO_DISTORTION, flags=cv2.SOLVEPNP_IPPE)
     except cv2.error:  # a singular homography: no pose, not a fault of ours
         return ()
+    found = [
+        (rotation_from_vector(r), np.asarray(t, dtype=np.float64).reshape(3))
+        for r, t in zip(rotations[:count], translations[:count], strict=True)
+    ]
+    if not all(np.isfinite(t).all() for _, t in found):
+        found = _facing(plane, xy)  # OpenCV divides by zero for a plane that faces the camera exactly
     poses = []
-    for i in range(int(count)):
-        rotation = rotation_from_vector(rotations[i])
-        translation = np.asarray(translations[i], dtype=np.float64).reshape(3)
+    for rotation, translation in found:
         where = plane @ rotation[:, :2].T + translation
         if not np.all(np.isfinite(where)) or float(where[:, 2].min()) <= 0:
             continue
@@ -75,6 +79,18 @@ def poses_of_rays(points_mm: ArrayLike, rays: ArrayLike, focal_px: float = 1.0) 
         rms = focal_px * float(np.sqrt(np.mean(error**2)))
         poses.append(PlanarPose(rotation=rotation, translation_mm=translation, rms_px=rms))
     return tuple(sorted(poses, key=lambda p: p.rms_px))
+
+
+def _facing(plane: Floats, xy: Floats) -> list[tuple[Floats, Floats]]:
+    """The similarity from the plane to the image as a pose parallel to it; none when the points coincide."""
+    p, q = plane - plane.mean(axis=0), xy - xy.mean(axis=0)
+    along, across = float(np.sum(p * q)), float(np.sum(p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]))
+    scale = float(np.hypot(along, across)) / max(float(np.sum(p * p)), 1e-300)
+    if not scale > 0:
+        return []
+    rotation = turn_clockwise(float(np.arctan2(across, along)))
+    centre = np.append(xy.mean(axis=0), 1.0) / scale
+    return [(rotation, centre - rotation @ np.append(plane.mean(axis=0), 0.0))]
 
 
 def refine_pose(pose: PlanarPose, points_mm: ArrayLike, points_px: ArrayLike, camera: Camera, *, sigma_px: float = 0.5,

@@ -1,0 +1,231 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from plate_scenes import AHEAD, CAMERA, sighting
+
+from tmde_edge.geometry.pinhole import Camera, view_from_vehicle
+from tmde_edge.messages import RangeMeasurement
+from tmde_edge.plates.standard import load_standards, select
+from tmde_edge.ranging.budget import ideal_sighting
+from tmde_edge.ranging.ranger import Ranger
+from tmde_edge.ranging.scale_memory import TrackScale
+from tmde_edge.ranging.settings import RangingSettings
+
+STANDARDS = load_standards()
+JOINT = RangingSettings()
+
+
+def ranger(*expect: str, **changes: object) -> Ranger:
+    return Ranger(RangingSettings(**changes), select(expect))  # type: ignore[arg-type]
+
+
+def ranged(r: Ranger, plate: object, camera: Camera = CAMERA, view: np.ndarray = AHEAD) -> RangeMeasurement:
+    measured, _, reason = r.measure(plate, camera, view, 0)  # type: ignore[arg-type]
+    assert measured is not None, reason
+    return measured
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.sampled_from(["de-mittel", "us-mi", "ru-1", "gb-2001", "fr-1", "cn-small", "kr-film", "jp-mid"]),
+    st.floats(0.8, 12.0),
+    st.floats(-0.5, 0.5),
+    st.floats(-0.15, 0.15),
+    st.floats(-0.25, 0.25),
+)
+def test_project_then_range_is_the_identity(id_: str, distance: float, yaw: float, lean: float, u: float) -> None:
+    plate = sighting(STANDARDS[id_], distance_m=distance, yaw=yaw, lean=lean, u=u)
+    measured = ranged(ranger(id_), plate)
+    # The prior on a plate's heading pulls a little where perspective no longer shows it.
+    tolerance = 0.003 if distance < 6 or abs(yaw) < 0.05 else 0.015
+    assert abs(measured.distance_m / distance - 1) < tolerance
+    assert abs(measured.distance_m - distance) < measured.sigma_m
+    assert abs(measured.lateral_m - u * distance) < 0.02 * distance
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.floats(-0.12, 0.12), st.floats(-0.1, 0.1), st.floats(-0.12, 0.12), st.floats(-0.3, 0.3))
+def test_distance_is_along_the_vehicles_axis_whatever_the_cameras_attitude(
+    pitch: float, roll: float, yaw: float, u: float
+) -> None:
+    view = view_from_vehicle(pitch, roll, yaw)
+    plate = sighting(STANDARDS["ru-1"], distance_m=5.0, u=u, view_from_vehicle=view)
+    measured = ranged(ranger("ru"), plate, view=view)
+    assert measured.distance_m == pytest.approx(5.0, rel=2e-3)
+    assert measured.lateral_m == pytest.approx(5.0 * u, abs=0.01)
+
+
+def test_lens_distortion_and_image_scale_do_not_change_the_distance() -> None:
+    lens = Camera(
+        width_px=1920, height_px=1080, fx_px=1400, fy_px=1400, cx_px=959.5, cy_px=539.5, distortion=(-0.3, 0.1, 0.0, 0.0)
+    )
+    for camera in (lens, lens.scaled_to(1280, 720)):
+        plate = sighting(STANDARDS["us-mi"], camera, distance_m=4.0, u=0.5, v=0.2)
+        assert ranged(ranger("us-mi"), plate, camera).distance_m == pytest.approx(4.0, rel=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("id_", "width_px"), [("de-mittel", 120), ("us-aamva3", 60), ("ru-1", 60), ("fr-1", 200), ("gb-2001", 30)]
+)
+def test_sigma_is_honest_and_not_lazy(id_: str, width_px: float) -> None:
+    """Sizes drawn within their tolerance, focal length and edges within theirs: 68 % inside one sigma, 95 % inside two."""
+    rng = np.random.default_rng(7)
+    s, r = STANDARDS[id_], ranger(id_)
+    outline, height = s.outline_belief(), s.main_class.height
+    assert outline is not None
+    assert height is not None
+    frame = 2**0.5 * JOINT.outline_sigma_mm
+    mean, sigma = height.belief("glyph_height")
+    z = []
+    for _ in range(160):
+        f = 1400 * (1 + rng.normal(0, CAMERA.focal_sigma))
+        camera = replace(CAMERA, fx_px=f, fy_px=f)
+        d = 1.4 * outline[0][0] / width_px * rng.uniform(0.95, 1.05)
+        plate = sighting(
+            s,
+            camera,
+            distance_m=d,
+            yaw=rng.normal(0, 0.08),
+            lean=rng.normal(0, 0.07),
+            roll=rng.normal(0, 0.03),
+            u=rng.uniform(-0.2, 0.2),
+            rng=rng,
+            corner_sigma=0.3,
+            glyph_sigma=0.15,
+            glyph_mm=rng.normal(mean, sigma),
+            width_mm=rng.normal(outline[0][0], np.hypot(outline[0][1], frame)),
+            height_mm=rng.normal(outline[1][0], np.hypot(outline[1][1], frame)),
+        )
+        measured = ranged(r, plate)
+        z.append(abs(measured.distance_m - d) / measured.sigma_m)
+        assert measured.sigma_m**2 == pytest.approx(measured.noise_m**2 + (measured.scale_sigma * measured.distance_m) ** 2)
+    assert 0.58 < np.mean(np.array(z) < 1) < 0.90
+    assert np.mean(np.array(z) < 2) > 0.92
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.sampled_from(["de-mittel", "us-mi", "ru-1", "kr-film", "gb-2001", "pl-2"]), st.floats(2.0, 14.0))
+def test_the_fit_is_never_less_certain_than_its_best_cue(id_: str, distance: float) -> None:
+    measured = ranged(ranger(id_), ideal_sighting(STANDARDS[id_], CAMERA, distance))
+    # The cues take the plate as facing us; the fit pays for not knowing its heading.
+    assert measured.sigma_m < 1.03 * min(c.sigma_m for c in measured.cues if c.used)
+
+
+def test_one_wrong_corner_moves_the_distance_less_than_it_moves_the_width_cue() -> None:
+    plate = sighting(STANDARDS["ru-1"], distance_m=8.0)
+    tl, tr, br, bl = plate.corners_px
+    broken = replace(plate, corners_px=((tl[0] - 6, tl[1]), tr, br, bl), corners_sigma_px=0.4)
+    measured = ranged(ranger("ru"), broken)
+    width = next(c.distance_m for c in measured.cues if c.cue == "plate_width")
+    assert abs(width / 8 - 1) > 0.025
+    assert abs(measured.distance_m / 8 - 1) < 0.3 * abs(width / 8 - 1)
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_small_letters_never_count_as_tall_ones(order: int) -> None:
+    plate = sighting(STANDARDS["ru-1"], distance_m=6.0, glyph_sigma=0.1, corner_sigma=0.2)
+    # the reader's own opinion which characters are tall must not matter
+    plate = replace(plate, glyphs=tuple(replace(g, main=(i % 2 == 0)) for i, g in enumerate(plate.glyphs))[::order])
+    measured = ranged(ranger("ru"), plate)
+    cue = next(c for c in measured.cues if c.cue == "char_height")
+    assert cue.distance_m == pytest.approx(6.0, rel=0.015)
+    only_small = replace(plate, glyphs=tuple(g for g in plate.glyphs if g.height_px < 15.5))
+    assert 0 < len(only_small.glyphs) < len(plate.glyphs)
+    assert ranged(ranger("ru"), only_small).distance_m == pytest.approx(6.0, rel=0.015)
+
+
+def test_a_wild_glyph_is_ignored() -> None:
+    plate = sighting(STANDARDS["de-mittel"], distance_m=6.0, glyph_sigma=0.1, corner_sigma=0.3)
+    first = plate.glyphs[0]
+    wild = replace(first, bottom_px=(first.bottom_px[0], first.bottom_px[1] + 9))
+    before = ranged(ranger("de-1line"), plate).distance_m
+    assert ranged(ranger("de-1line"), replace(plate, glyphs=(wild, *plate.glyphs[1:]))).distance_m == pytest.approx(
+        before, rel=3e-3
+    )
+
+
+def test_a_cut_short_german_plate_is_ranged_by_its_characters() -> None:
+    plate = sighting(STANDARDS["de-mittel"], distance_m=6.0, width_mm=440.0)
+    measured = ranged(ranger("de-mittel"), plate)
+    width = next(c for c in measured.cues if c.cue == "plate_width")
+    assert width.distance_m > 6.9  # the baseline is off by 18 %
+    assert measured.distance_m == pytest.approx(6.0, rel=0.015)
+
+
+def test_a_plate_cut_by_the_frame_is_ranged_by_what_is_left() -> None:
+    plate = sighting(STANDARDS["us-mi"], distance_m=0.5, u=0.60, cut=True)
+    assert plate.corners_px[1][0] > CAMERA.width_px
+    measured = ranged(ranger("us-mi"), plate)
+    assert measured.distance_m == pytest.approx(0.5, rel=0.03)
+    assert abs(measured.distance_m - 0.5) < 2 * measured.sigma_m
+    assert "plate_width" not in {c.cue for c in measured.cues}
+
+
+def test_a_plate_that_fills_the_frame_without_characters_is_not_ranged() -> None:
+    plate = replace(sighting(STANDARDS["us-mi"], distance_m=0.15, v=0.0, cut=True), glyphs=())
+    measured, _, reason = ranger("us-mi").measure(plate, CAMERA, AHEAD, 0)
+    assert measured is None
+    assert reason is not None
+    assert "cut by the frame" in reason
+
+
+def test_far_plates_are_refused_with_the_reason() -> None:
+    measured, state, reason = ranger("us-mi").measure(sighting(STANDARDS["us-mi"], distance_m=60.0), CAMERA, AHEAD, 0)
+    assert measured is None
+    assert reason is not None
+    assert "too small" in reason
+    assert isinstance(state, TrackScale)
+
+
+def test_nothing_but_nan_gives_a_reason_not_a_nan() -> None:
+    nan = (float("nan"), float("nan"))
+    plate = replace(sighting(STANDARDS["us-mi"]), corners_px=(nan, nan, nan, nan), glyphs=())
+    measured, _, reason = ranger("us-mi").measure(plate, CAMERA, AHEAD, 0)
+    assert measured is None
+    assert reason
+
+
+@pytest.mark.parametrize("fusion", [True, False])
+def test_the_papers_method(fusion: bool) -> None:
+    plate = replace(sighting(STANDARDS["gb-2001"], distance_m=5.0), stroke_px=14 * 0.28, border_px=1.0)
+    measured = ranged(ranger("gb-2001", method="paper", fusion=fusion), plate)
+    assert measured.distance_m == pytest.approx(5.0, rel=0.01)
+    used = {c.cue for c in measured.cues if c.used}
+    assert used == ({"char_height", "stroke_width", "char_spacing"} if fusion else {"char_height"})
+    assert {"plate_width", "plate_height"} <= {c.cue for c in measured.cues}
+    if fusion:
+        assert measured.sigma_m < 1.2 * min(c.sigma_m for c in measured.cues if c.used)
+
+
+def test_an_unsure_standard_widens_the_sigma() -> None:
+    plate = sighting(STANDARDS["us-mi"], distance_m=9.0, glyph_sigma=0.15, corner_sigma=0.3)
+    sure, unsure = ranged(ranger("us-mi"), plate), ranged(ranger("us-mi", "co", "jp-mid"), plate)
+    assert unsure.sigma_m > sure.sigma_m
+    assert abs(unsure.distance_m - 9.0) < 2 * unsure.sigma_m
+
+
+@pytest.mark.parametrize("id_", ["us-aamva3", "ru-1", "gb-2001", "es-long", "cn-small", "jp-mid", "kr-film", "in-car", "pl-2"])
+def test_auto_finds_the_class_or_says_how_unsure_it_is(id_: str) -> None:
+    rng, r, truth = np.random.default_rng(5), ranger("auto"), STANDARDS[id_]
+    outline = truth.outline_belief()
+    assert outline is not None
+    hits = covered = 0
+    for _ in range(6):
+        plate = sighting(
+            truth, distance_m=1.4 * outline[0][0] / 100, yaw=rng.normal(0, 0.05), rng=rng, corner_sigma=0.2, glyph_sigma=0.1
+        )
+        measured = ranged(r, plate)
+        assert measured.standard is not None
+        got = STANDARDS[measured.standard].outline_belief()
+        hits += got is not None and all(abs(a[0] / b[0] - 1) < 0.03 for a, b in zip(got, outline, strict=True))
+        covered += abs(measured.distance_m - 1.4 * outline[0][0] / 100) < 2 * measured.sigma_m
+    assert hits >= 5
+    assert covered == 6
+
+
+def test_a_ranger_without_standards_is_refused() -> None:
+    with pytest.raises(ValueError):
+        Ranger(JOINT, [])
