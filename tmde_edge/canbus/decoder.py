@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -19,6 +20,10 @@ from tmde_edge.errors import ConfigError
 __all__ = ["VehicleDecoder", "build_decoder"]
 
 _NULL_ADDRESS = 0xFE  # the source address that J1939 DBC files write for "any"
+_CHECKSUM = re.compile(r"^checksum$|_crc$|_crc\d?val$", re.IGNORECASE)
+_COUNTER = re.compile(r"^_?counter$|_bz$|_alvcnt\d?val$|_alivecounter$", re.IGNORECASE)
+_HYUNDAI_MARKS = {"WHL_SPD_Checksum_LSB", "CheckSum_TCS3"}
+_FORD_MARKS = {"VehVActlBrk_No_Cs", "VehRollYawW_No_Cs"}
 _SPEED_UNITS = {"m/s": 1.0, "km/h": 1 / 3.6, "mph": 0.44704, "kn": 1852 / 3600}
 _YAW_UNITS = {"rad/s": 1.0, "deg/s": math.pi / 180}
 _ALIASES = {  # how DBC files write them
@@ -248,17 +253,13 @@ def _all_bits(reader: Reader, counter: Sequence[BitSlice]) -> list[BitSlice]:
 
 def _find_checks(source: SignalSource, message: Any, signals: Mapping[str, Any]) -> tuple[str, tuple[BitSlice, ...]]:
     """Checksum rule and counter as the DBC names and places them (the layouts by which opendbc tells the makes apart)."""
-    counter = tuple(_slice_of(s) for name, s in signals.items() if name.upper() in ("COUNTER", "_COUNTER"))[:1]
+    counter = tuple(_slice_of(s) for name, s in signals.items() if _COUNTER.search(name))[:1]
     if source.checksum != "auto":
         return ("" if source.checksum == "none" else source.checksum), counter
-    if "WHL_SPD_Checksum_LSB" in signals or "CheckSum_TCS3" in signals:
-        return "hyundai", checks.implied_counter("hyundai", int(message.frame_id))
-    alive = next((s for name, s in signals.items() if name.endswith("_AliveCounter")), None)
-    if alive is not None and not counter:
-        counter = (_slice_of(alive),)
-    if {"VehVActlBrk_No_Cs", "VehRollYawW_No_Cs"} & set(signals) and checks.verifiable("ford", int(message.frame_id)):
-        return "ford", checks.implied_counter("ford", int(message.frame_id))
-    checksum = next((s for name, s in signals.items() if name.upper() == "CHECKSUM"), None)
+    for rule, marks in (("hyundai", _HYUNDAI_MARKS), ("ford", _FORD_MARKS)):
+        if marks & set(signals) and checks.verifiable(rule, int(message.frame_id)):
+            return rule, checks.implied_counter(rule, int(message.frame_id))
+    checksum = next((s for name, s in signals.items() if _CHECKSUM.search(name)), None)
     if checksum is None:
         named = any("checksum" in name.lower() or name.endswith("_No_Cs") for name in signals)
         return ("?" if named else ""), counter

@@ -22,6 +22,7 @@ _PERIOD_MIN_NS = 2_000_000
 _GPS_TIMEOUT_NS = 3_000_000_000
 _GPS_SIGMA_MPS = 0.3
 _YAW_NOISE_RADPS = 0.003
+_COMPLAIN_AFTER = 50  # frames
 _RESYNC = 3  # this many implausible values that agree with each other are the truth after all
 
 
@@ -80,6 +81,8 @@ class _Message:
     counter: CounterState | None
     period: dict[Quantity, Period]
     last_ns: int | None = None
+    good: int = 0
+    bad: int = 0  # checksum or counter wrong
 
 
 class EgoReceiver:
@@ -111,6 +114,16 @@ class EgoReceiver:
     def configured(self) -> bool:
         """True where a speed is expected at all."""
         return "speed" in self._decoder.quantities or self._decoder.gps
+
+    @property
+    def complaints(self) -> tuple[str, ...]:
+        """For the user: messages that fail their checks nearly always, which is a wrong description rather than a bad bus."""
+        return tuple(
+            f"{message.bad} of {message.bad + message.good} frames of message {self._decoder.plans[key].name} fail its "
+            f'{self._decoder.plans[key].rule or "counter"} check; if this vehicle has none, set checksum = "none" on that signal'
+            for key, message in self._messages.items()
+            if message.bad >= _COMPLAIN_AFTER and message.bad > 9 * message.good
+        )
 
     def update(self, frame: CanFrame) -> EgoState | None:
         """Takes one frame; the new state where it brought a good value of a wanted signal, else None."""
@@ -192,13 +205,16 @@ class EgoReceiver:
             return False
         if plan.rule and not RULES[plan.rule](frame.can_id, frame.data):
             self.counts["bad_checksum"] += 1
+            message.bad += 1
             return False
         if message.last_ns is not None and 0 < message.last_ns - frame.t_ns < 1_000_000_000:
             self.counts["out_of_order"] += 1  # further back is a clock that was set: begin again from there
             return False
         if message.counter is not None and not message.counter.accept(frame.data):
             self.counts["bad_counter"] += 1
+            message.bad += 1
             return False
+        message.good += 1
         return True
 
     def _read(self, reader: Reader, message: _Message, frame: CanFrame) -> bool:

@@ -72,6 +72,18 @@ def test_a_bad_checksum_or_a_short_frame_updates_nothing() -> None:
     assert rx.counts["short"] == 1
 
 
+def test_a_message_that_always_fails_is_named() -> None:
+    rx = receiver()
+    for n in range(60):
+        rx.update(CanFrame(t_ns=n * 20 * MS, can_id=0xB4, data=b"\0\0\0\0\0\1\0\0", channel="can0"))
+    assert len(rx.complaints) == 1
+    assert rx.complaints[0].startswith("60 of 60 frames of message 0xb4 fail its toyota check; ")
+    healthy = receiver()
+    for n in range(60):
+        healthy.update(speed(20 * n, 10.0))
+    assert healthy.complaints == ()
+
+
 def test_speed_is_lost_after_ten_learned_periods() -> None:
     rx = receiver()
     for n in range(50):
