@@ -28,21 +28,24 @@ SELF_IGNORE = 0.7  # unlabelled street cells scored above this neither punish no
 
 
 class Shards:
-    """Batches of one side length drawn from a pool of open shards; new shards are found as they appear."""
+    """Batches of one side length from a pool of open shards; the folders are drawn from equally, new shards are found as they appear."""
 
     def __init__(self, folders: list[Path], side_px: int, rng: np.random.Generator, pool: int = 8) -> None:
         self.folders, self.side, self.rng, self.pool_size = folders, side_px, rng, pool
-        self.queue: list[Path] = []
+        self.queues: dict[Path, list[Path]] = {d: [] for d in folders}
         self.pool: list[tuple[NDArray[np.uint8], list, list[int]]] = []  # type: ignore[type-arg]
 
     def _refill(self) -> None:
         while len(self.pool) < self.pool_size:
-            if not self.queue:
-                self.queue = sorted(f for d in self.folders for f in d.glob(f"s*_{self.side}.npy"))
-                self.rng.shuffle(self.queue)  # type: ignore[arg-type]
-                if not self.queue:
-                    raise FileNotFoundError(f"no shards of side {self.side} in {self.folders}")
-            f = self.queue.pop()
+            queue = self.queues[self.folders[int(self.rng.integers(len(self.folders)))]]
+            if not queue:
+                for d in self.folders:
+                    if self.queues[d] is queue:
+                        queue += sorted(d.glob(f"s*_{self.side}.npy"))
+                self.rng.shuffle(queue)  # type: ignore[arg-type]
+                if not queue:
+                    raise FileNotFoundError(f"no shards of side {self.side} in one of {self.folders}")
+            f = queue.pop()
             try:
                 images, meta = np.load(f), json.loads(f.with_suffix(".json").read_text())
             except FileNotFoundError:
