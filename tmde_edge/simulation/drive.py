@@ -177,7 +177,8 @@ def _vehicle_truth(
 
     first, last = at(before), at(after)
     rate = (last - first) / (2 * near_s) if first is not None and last is not None else 0.0
-    relative_accel = actor.motion.state(t_s)[2] - scenario.ego.state(t_s)[2]
+    _, ego_speed, ego_accel = scenario.ego.state(t_s)
+    _, speed, accel = actor.motion.state(t_s)
     gap = distance - scenario.camera.to_bumper_m
     # the ego's own track is the road shifted by its lateral place: compare lateral places on the road
     offset = eased(actor.lateral, t_s) - eased(scenario.ego_lateral, t_s)
@@ -193,10 +194,10 @@ def _vehicle_truth(
     ttc = gap / -rate if rate < -1e-6 and gap > 0 else None
     return VehicleTruth(
         frame=frame, t_s=t_s, name=actor.name, distance_m=distance, range_rate_mps=rate, gap_m=gap, ttc_s=ttc,
-        ttc_braking_s=ttc_counting_accel(gap, rate, relative_accel), lateral_m=float(centre[0]), path_offset_m=offset,
-        in_path=abs(offset) < IN_PATH_M, plate_corners_px=corners, char_height_px=height,
+        ttc_braking_s=ttc_counting_accel(gap, ego_speed, ego_accel, speed, accel), lateral_m=float(centre[0]),
+        path_offset_m=offset, in_path=abs(offset) < IN_PATH_M, plate_corners_px=corners, char_height_px=height,
         glyph_count=sum(g.counted for g in face.glyphs) if face is not None else None,
-        plate_visible=visible_share(now, index), speed_mps=actor.motion.state(t_s)[1],
+        plate_visible=visible_share(now, index), speed_mps=speed,
     )
 
 
@@ -237,15 +238,15 @@ def _inside(outline: Array, points: Array) -> np.ndarray:
     if not np.isfinite(outline).all():
         return np.zeros(len(points), bool)
     shape = outline.astype(np.float32).reshape(-1, 1, 2)
-    return np.array([
-        bool(np.isfinite(p).all()) and cv2.pointPolygonTest(shape, (float(p[0]), float(p[1])), False) >= 0 for p in points
-    ])
+    known = np.nan_to_num(points, nan=-1e6)
+    return np.array([cv2.pointPolygonTest(shape, (float(x), float(y)), False) >= 0 for x, y in known])
 
 
 def vehicle_box_px(view: View, vehicle: VehicleAt) -> tuple[float, float, float, float]:
     """Left, top, right, bottom of a vehicle's rear in the image."""
     half, top = body_size(vehicle.body)
     c, s = np.cos(vehicle.yaw_rad), np.sin(vehicle.yaw_rad)
-    points = np.array([[vehicle.x_m + x * c, vehicle.down_m - y, vehicle.z_m - x * s] for x in (-half, half) for y in (0, top)])
+    places = [(x, y) for x in (-half, half) for y in (0.0, top)]
+    points = np.array([[vehicle.x_m + x * c, vehicle.down_m - y, vehicle.z_m - x * s] for x, y in places])
     p = view.project(points)
     return float(p[:, 0].min()), float(p[:, 1].min()), float(p[:, 0].max()), float(p[:, 1].max())

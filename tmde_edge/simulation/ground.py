@@ -16,6 +16,7 @@ Array = NDArray[np.float64]
 
 _EDGE_M = 20.0  # the ground textures reach this far to both sides
 _BANDS = ((14.0, 0.02, 0.02), (45.0, 0.05, 0.10), (150.0, 0.15, 0.50), (1e9, 0.4, 2.0))  # up to Z, m per column, per row
+_DIM = {"day": 1.0, "overcast": 0.85, "dusk": 0.45, "night": 0.10}
 _PERIOD_M = (25.6, 102.4, 512.0, 2048.0)
 
 
@@ -251,7 +252,7 @@ def _far_view(style: RoadStyle, f_px: float, width_px: int, height_px: int) -> t
     sky = sky * (1 - veil) + (low * 1.02) * veil
     picture = np.clip(sky, 0, 255).astype(np.uint8)
     _skyline(picture, above, style, f_px, rng)
-    picture[above:] = np.clip(np.asarray(style.verge_bgr) * 1.05, 0, 255).astype(np.uint8)
+    picture[above:] = np.clip(np.asarray(style.verge_bgr) * 1.05 * _DIM[style.sky], 0, 255).astype(np.uint8)
     return np.asarray(cv2.GaussianBlur(picture, (0, 0), 0.7), np.uint8), float(above)
 
 
@@ -259,7 +260,7 @@ def _skyline(picture: Image, horizon: int, style: RoadStyle, f_px: float, rng: n
     """Hills, a belt of trees and houses along the horizon; sizes in angle (f_px pixels a radian)."""
     cols = picture.shape[1]
     x = np.arange(cols)
-    dim = {"day": 1.0, "overcast": 0.85, "dusk": 0.45, "night": 0.10}[style.sky]
+    dim = _DIM[style.sky]
     if style.skyline == "none":
         return
     hill = _smooth_noise(rng, 2, cols, 1.0, 0.35 * f_px)[0]

@@ -23,6 +23,7 @@ class Expectation:
     warn_ttc_max_s: float = 4.0  # and no warning or caution by TTC comes above it
     no_warning: bool = False
     no_ttc_caution: bool = False
+    no_lead: bool = False  # no lead and no plate in the path may be reported in more than 2 % of the frames
     max_relative_error: float | None = None  # median of |distance error| of the lead, where its plate is >= 60 px wide
 
 

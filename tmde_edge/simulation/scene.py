@@ -14,6 +14,7 @@ from tmde_edge.simulation.compose import Image, Region, Texture, region_round, t
 from tmde_edge.simulation.ground import RoadAhead, RoadStyle, paint_ground
 from tmde_edge.simulation.plate_face import FaceSpec, face_alpha, render_face
 from tmde_edge.simulation.scenery import card
+from tmde_edge.simulation.tunnel import INSIDE_GAIN, paint_tunnel
 from tmde_edge.simulation.vehicle import Body, body_size, outline_m, rear_picture
 
 PLATE_PROUD_M = 0.02  # the plate stands this far behind the rear's plane
@@ -59,6 +60,7 @@ class Light:
 
 
 DAY = Light()
+_TUNNEL = Light(ambient=INSIDE_GAIN, headlamps=0.35, retro=1.2)
 NIGHT = Light(ambient=0.10, headlamps=0.55, retro=1.6)
 
 
@@ -107,14 +109,21 @@ def render(
         _roll(image, view, roll_rad)
     if light.headlamps > 0.0 or light.ambient != 1.0:
         _light_ground(image, view, pitch_rad, light)
-    things: list[tuple[float, VehicleAt | CardAt]] = [(c.z_m, c) for c in cards] + [(v.z_m, v) for v in vehicles]
+    portal_m = tunnel_z_m if tunnel_z_m is not None else -1.0
+    things: list[tuple[float, VehicleAt | CardAt | None]] = [(v.z_m, v) for v in vehicles]
+    things += [(c.z_m, c) for c in cards if c.z_m > portal_m]
+    if portal_m > 0:
+        things.append((portal_m, None))
     for _, thing in sorted(things, key=lambda item: -item[0]):
+        if thing is None:
+            paint_tunnel(image, view, camera.height_m, portal_m, float(ahead.s_m[0] - ahead.z_m[0]))
+            continue
         behind = _hidden_from_row(view, ahead, thing.z_m, thing.down_m)
         kept = None if behind is None else image[behind:].copy()
         if isinstance(thing, CardAt):
             _paint_card(image, view, thing, light)
         else:
-            _paint_vehicle(image, view, thing, light)
+            _paint_vehicle(image, view, thing, _TUNNEL if thing.z_m < portal_m else light)
         if kept is not None:
             image[behind:] = kept
     return image
@@ -156,11 +165,11 @@ def _light_ground(image: Image, view: View, pitch_rad: float, light: Light) -> N
 @lru_cache(maxsize=16)
 def _ground_gain(rows: int, cols: int, f_px: float, cy_px: float, pitch_rad: float, light: Light) -> NDArray[np.float32]:
     yn = (np.arange(rows) - cy_px) / f_px + np.tan(pitch_rad)
-    z = np.where(yn > 0.004, 1.3 / np.maximum(yn, 0.004), 400.0)
-    reach = np.where(yn > 0.004, np.clip(14.0 / z, 0.0, 1.2) ** 0.9 * np.clip((z - 2.0) / 5.0, 0.25, 1.0), 0.0)
+    z = np.where(yn > 0.0, 1.3 / np.maximum(yn, 0.002), 700.0)
+    reach = np.where(yn > 0.0, np.clip(14.0 / z, 0.0, 1.2) ** 0.9 * np.clip((z - 2.0) / 5.0, 0.25, 1.0), 0.0)
     x = (np.arange(cols) - (cols - 1) / 2) / f_px
     side = np.exp(-((x / 0.32) ** 2))
-    gain = light.ambient * (yn[:, None] > 0.004) + (yn[:, None] <= 0.004) * max(light.ambient, 1.0 - light.headlamps * 0.0)
+    gain = np.where(yn[:, None] > 0.0, light.ambient, 1.0)  # the sky is painted as dark as it is
     gain = gain + light.headlamps * reach[:, None] * side[None, :]
     return np.repeat(gain.astype(np.float32)[..., None], 3, axis=2)
 
@@ -195,7 +204,9 @@ def _paint_vehicle(image: Image, view: View, vehicle: VehicleAt, light: Light) -
     inside = view.project(box)
     if not np.isfinite(inside).any() or float(box[:, 2].max()) < _NEAR_M:
         return
-    inside = np.where(np.isfinite(inside), inside, np.clip(np.sign(vehicle.x_m), -1, 1) * 4000.0)
+    if not np.isfinite(inside).all() or float(box[:, 2].min()) < _NEAR_M:
+        # a part is beside or behind the lens: any pixel may be touched
+        inside = np.array([[0.0, 0.0], [view.camera.width_px, view.camera.height_px]])
     wide = float(np.ptp(view.project(place(np.array([[-half, 0.5, 0.0], [half, 0.5, 0.0]])))[:, 0])) \
         if vehicle.z_m > _NEAR_M else 9999.0
     factor = 4 if wide < 150 else 2 if wide < 420 else 1
@@ -344,7 +355,7 @@ def _glow(image: Image, view: View, vehicle: VehicleAt, place: object) -> None:
             continue
         gx = np.exp(-0.5 * ((np.arange(x0, x1) - x) / size) ** 2)
         gy = np.exp(-0.5 * ((np.arange(y0, y1) - y) / size) ** 2)
-        bright = 150.0 if vehicle.lamps == "brake" else 90.0
+        bright = 140.0 if vehicle.lamps == "brake" else 60.0
         add = (np.outer(gy, gx) * bright)[..., None] * np.array([0.35, 0.25, 1.0])
         part = image[y0:y1, x0:x1]
         part[:] = np.clip(part + add, 0, 255).astype(np.uint8)

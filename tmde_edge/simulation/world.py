@@ -170,15 +170,44 @@ def surroundings(
     return Surroundings(rel, x, z, down, theta - heading_rad, s_m, azimuth + heading_rad, slope)
 
 
-def ttc_counting_accel(gap_m: float, range_rate_mps: float, range_accel_mps2: float) -> float | None:
-    """Smallest t > 0 with gap + rate t + accel t^2 / 2 = 0, or None (NHTSA FCW: the lead's braking counts)."""
+def ttc_counting_accel(
+    gap_m: float, ego_speed_mps: float, ego_accel_mps2: float, lead_speed_mps: float, lead_accel_mps2: float
+) -> float | None:
+    """Time until the gap is gone if both keep their accelerations, a braking vehicle standing once it has stopped.
+
+    The smallest t > 0 with gap + rate t + accel t^2 / 2 = 0 (NHTSA FCW: the lead's braking counts); None: never.
+    """
     if gap_m <= 0:
         return 0.0
-    if abs(range_accel_mps2) < 1e-9:
-        return -gap_m / range_rate_mps if range_rate_mps < 0 else None
-    root = range_rate_mps**2 - 2 * range_accel_mps2 * gap_m
+    t, gap = 0.0, gap_m
+    # accelerations below 1e-6 m/s^2 move nothing within an hour
+    both = [[v, a if abs(a) > 1e-6 else 0.0] for v, a in ((ego_speed_mps, ego_accel_mps2), (lead_speed_mps, lead_accel_mps2))]
+    for _ in range(3):
+        for one in both:
+            if one[0] <= 1e-9 and one[1] < 0:
+                one[:] = [0.0, 0.0]
+        (ve, ae), (vl, al) = both
+        until = min([-v / a for v, a in both if a < 0], default=np.inf)
+        hit = _first_zero(gap, vl - ve, al - ae)
+        if hit is not None and hit <= until + 1e-9:
+            return t + hit
+        if not np.isfinite(until):
+            return None
+        gap += (vl - ve) * until + 0.5 * (al - ae) * until**2
+        t += until
+        for one in both:
+            one[0] = max(one[0] + one[1] * until, 0.0)
+            if one[0] < 1e-6 and one[1] < 0:
+                one[:] = [0.0, 0.0]
+    return None
+
+
+def _first_zero(gap_m: float, rate_mps: float, accel_mps2: float) -> float | None:
+    """Smallest t > 0 with gap + rate t + accel t^2 / 2 = 0."""
+    if abs(accel_mps2) < 1e-9:
+        return -gap_m / rate_mps if rate_mps < -1e-9 else None
+    root = rate_mps**2 - 2 * accel_mps2 * gap_m
     if root < 0:
         return None
-    both = [(-range_rate_mps + sign * np.sqrt(root)) / range_accel_mps2 for sign in (-1, 1)]
-    ahead = [t for t in both if t > 0]
-    return float(min(ahead)) if ahead else None
+    found = [t for t in ((-rate_mps + sign * np.sqrt(root)) / accel_mps2 for sign in (-1, 1)) if t > 0]
+    return float(min(found)) if found else None
