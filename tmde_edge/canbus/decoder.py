@@ -51,7 +51,7 @@ def build_decoder(settings: CanSettings, dbc_text: str | None = None, dbc_name: 
     dbc = _load(vehicle, sources, dbc_text, dbc_name, notes)
     found: dict[MessageKey, list[_Resolved]] = {}
     for quantity, source in sources:
-        resolved = _resolve(quantity, source, dbc, dbc_name)
+        resolved = _resolve(quantity, source, dbc, dbc_name, notes)
         found.setdefault(resolved.key, []).append(resolved)
     plans = {key: _plan(key, group, notes) for key, group in found.items()}
     return VehicleDecoder(
@@ -98,7 +98,7 @@ def _direct(source: SignalSource) -> bool:
     return source.id is not None or source.pgn is not None
 
 
-def _resolve(quantity: Quantity, source: SignalSource, dbc: DbcMessages | None, dbc_name: str) -> _Resolved:
+def _resolve(quantity: Quantity, source: SignalSource, dbc: DbcMessages | None, dbc_name: str, notes: list[str]) -> _Resolved:
     at = f"can.vehicle.{quantity}"
     if _direct(source):
         if source.message or source.signal or source.signals:
@@ -106,10 +106,12 @@ def _resolve(quantity: Quantity, source: SignalSource, dbc: DbcMessages | None, 
         return _resolve_direct(at, quantity, source)
     if dbc is None or not source.message:
         raise ConfigError(f"{at} has neither message nor id; give message and signal of a DBC, or id, start_bit and length")
-    return _resolve_named(at, quantity, source, dbc, dbc_name)
+    return _resolve_named(at, quantity, source, dbc, dbc_name, notes)
 
 
-def _resolve_named(at: str, quantity: Quantity, source: SignalSource, dbc: DbcMessages, dbc_name: str) -> _Resolved:
+def _resolve_named(
+    at: str, quantity: Quantity, source: SignalSource, dbc: DbcMessages, dbc_name: str, notes: list[str]
+) -> _Resolved:
     message = dbc.messages.get(source.message)
     if message is None:
         for line in dbc.skipped:
@@ -162,7 +164,11 @@ def _resolve_named(at: str, quantity: Quantity, source: SignalSource, dbc: DbcMe
             return None
         return Flag(_slice_of(signal(given.signal, f"{key}.signal")) if given.signal else _bits(at, key, given), given.equals)
 
-    reader = _reader(at, quantity, source, tuple(parts), unit, flag(source.sign, "sign"), flag(source.valid, "valid"), multiplex)
+    sign, valid = flag(source.sign, "sign"), flag(source.valid, "valid")
+    if quantity in ("speed", "yaw_rate") and len(names) == 1:
+        sign = sign or _companion(names[0], signals, ("{head}_VZ_{tail}", "{name}_Sign"), 1, notes)
+        valid = valid or _companion(names[0], signals, ("{head}_QBit_{tail}",), 0, notes)
+    reader = _reader(at, quantity, source, tuple(parts), unit, sign, valid, multiplex)
     rule, counter = _find_checks(source, message, signals)
     if source.counter is not None:
         given = flag(source.counter, "counter")
@@ -171,6 +177,18 @@ def _resolve_named(at: str, quantity: Quantity, source: SignalSource, dbc: DbcMe
     if key[1] and key[0] & 0xFF == _NULL_ADDRESS:
         key = (pgn_of(key[0]), None)
     return _Resolved(source.message, key, int(message.length), reader, rule, counter)
+
+
+def _companion(name: str, signals: Mapping[str, Any], forms: Sequence[str], equals: int, notes: list[str]) -> Flag | None:
+    """The sign or quality bit that belongs to a signal by its name (ESP_Gierrate: ESP_VZ_Gierrate, ESP_QBit_Gierrate)."""
+    head, _, tail = name.partition("_")
+    for form in forms:
+        other = form.format(head=head, tail=tail, name=name)
+        if other in signals:
+            meaning = "negative" if equals else "valid"
+            notes.append(f"{name}: {meaning} where {other} is {equals}, by its name")
+            return Flag(_slice_of(signals[other]), equals)
+    return None
 
 
 def _resolve_direct(at: str, quantity: Quantity, source: SignalSource) -> _Resolved:

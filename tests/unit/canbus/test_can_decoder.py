@@ -38,6 +38,11 @@ BO_ 302 MUXED: 8 A
  SG_ SPEED m1 : 8|16@1+ (0.01,0) [0|0] "Unit_KiloMeterPerHour" B
  SG_ OTHER m2 : 8|16@1+ (1,0) [0|0] "" B
 
+BO_ 257 ESP_02: 8 A
+ SG_ ESP_QBit_Gierrate : 12|1@1+ (1,0) [0|1] "" B
+ SG_ ESP_Gierrate : 40|14@1+ (0.01,0) [0|163.82] "Unit_DegreOfArcPerSecon" B
+ SG_ ESP_VZ_Gierrate : 54|1@1+ (1,0) [0|1] "" B
+
 BO_ 2566844926 CCVS1: 8 A
  SG_ WheelSpeed : 8|16@1+ (0.00390625,0) [0|250] "km/h" B
 
@@ -57,7 +62,7 @@ def decoder(**vehicle: Any):
 
 def test_one_bad_message_or_comment_does_not_lose_the_file() -> None:
     loaded = load_messages(DBC, "x.dbc")
-    assert set(loaded.messages) == {"SPEED", "KINEMATICS", "WHEELS", "TOO_LONG", "MUXED", "CCVS1"}
+    assert set(loaded.messages) == {"SPEED", "KINEMATICS", "WHEELS", "TOO_LONG", "MUXED", "ESP_02", "CCVS1"}
     assert len(loaded.skipped) == 1
     assert loaded.skipped[0].startswith("BROKEN (line 15): ")
     assert "0xfa0 is more than 11 bits" in loaded.skipped[0]
@@ -65,7 +70,7 @@ def test_one_bad_message_or_comment_does_not_lose_the_file() -> None:
 
 def test_only_what_is_needed_is_read() -> None:
     made = decoder(speed={"message": "SPEED", "signal": "SPEED", "unit": "km/h"})
-    assert made.notes == ("x.dbc: 1 of 7 messages read, only those that are needed",)
+    assert made.notes == ("x.dbc: 1 of 8 messages read, only those that are needed",)
     assert made.filters == ((180, 0x7FF, False),)
     plan = made.plans[(180, False)]
     assert plan.rule == "toyota"
@@ -118,6 +123,15 @@ def test_sign_bit_quality_bit_and_codes_described_directly() -> None:
     assert reader.number(frame(1000, negative=1)) == pytest.approx(math.radians(-10))
     assert reader.number(frame(1000, bad=1)) is None
     assert reader.number(frame(16382)) is None
+
+
+def test_a_sign_bit_named_after_its_signal_is_found_and_said() -> None:
+    made = decoder(yaw_rate={"message": "ESP_02", "signal": "ESP_Gierrate", "unit": "deg/s"})
+    reader = made.plans[(257, False)].readers[0]
+    assert reader.number((1000 << 40 | 1 << 54).to_bytes(8, "little")) == pytest.approx(math.radians(-10))
+    assert reader.number((1000 << 40 | 1 << 12).to_bytes(8, "little")) is None
+    assert "ESP_Gierrate: negative where ESP_VZ_Gierrate is 1, by its name" in made.notes
+    assert "ESP_Gierrate: valid where ESP_QBit_Gierrate is 0, by its name" in made.notes
 
 
 def test_inverted_yaw_rate() -> None:
