@@ -106,6 +106,15 @@ class LaneSighting:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class TiltChange:
+    """How far the far part of the picture moved down since an earlier frame: the camera pitched up by that."""
+
+    t_from_ns: int
+    down_px: float
+    sigma_px: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Sighting:
     """What perception saw in one frame. NO_PLATE, BLIND and FAILED are different facts."""
 
@@ -118,6 +127,7 @@ class Sighting:
     scale_changes: tuple[ScaleChange, ...] = ()
     vehicles: tuple[VehicleBox, ...] = ()
     lanes: LaneSighting | None = None
+    tilt: TiltChange | None = None
     mode: Mode = "strict"
     searched: bool = True  # a full search ran on this frame
     error: str | None = None

@@ -11,10 +11,13 @@ import math
 import numpy as np
 
 from tmde_edge.geometry.pinhole import Camera
-from tmde_edge.messages import EgoState, LaneSighting, Point, Pose
+from tmde_edge.messages import EgoState, LaneSighting, Point, Pose, TiltChange
 from tmde_edge.pose.compensate import FloatArray, pitch_and_yaw, vanishing_point_px
 from tmde_edge.pose.resting import RestingPose
 from tmde_edge.pose.settings import PoseSettings
+
+_LANE_MEMORY_S = 0.5  # for so long the errors of successive lane sightings are alike
+_WITNESSES_AGAINST_MOTION = 6  # sightings that must agree to overrule the picture's own movement
 
 
 class AttitudeEstimator:
@@ -41,6 +44,8 @@ class AttitudeEstimator:
         self._t_ns: int | None = None
         self._seen_ns: int | None = None
         self._source: str = "none"
+        self._turned_ns: int | None = None  # the last frame whose movement was seen; None where it is not followed
+        self._witnesses = 0
         self._doubted: tuple[float, float, int] | None = None  # pitch, sigma and time of the last outlier
 
     @property
@@ -70,12 +75,28 @@ class AttitudeEstimator:
         return vanishing_point_px(self.rest, self._camera.scaled_to(width_px, height_px))
 
     def update(
-        self, lanes: LaneSighting | None, t_ns: int, ego: EgoState | None, size_px: tuple[int, int] | None = None
+        self,
+        lanes: LaneSighting | None,
+        t_ns: int,
+        ego: EgoState | None,
+        size_px: tuple[int, int] | None = None,
+        tilt: TiltChange | None = None,
     ) -> Pose:
-        """The pose at t_ns; `lanes` is in pixels of an image of `size_px` (default: the calibrated size)."""
-        self._predict(t_ns)
-        if lanes is not None and self._camera is not None and self._settings.method != "none":
-            camera = self._camera if size_px is None else self._camera.scaled_to(*size_px)
+        """The pose at t_ns; `lanes` and `tilt` are in pixels of an image of `size_px` (default: the calibrated size)."""
+        camera = self._camera
+        if camera is not None and size_px is not None:
+            camera = camera.scaled_to(*size_px)
+        if camera is None or self._settings.method == "none":
+            self._predict(t_ns)
+            return self._pose(t_ns)
+        if tilt is not None and self._t_ns == tilt.t_from_ns and t_ns > tilt.t_from_ns:
+            self._turn(tilt, camera, t_ns)
+            self._turned_ns = t_ns
+        else:
+            self._predict(t_ns)
+            if self._turned_ns is not None and (t_ns - self._turned_ns) * 1e-9 > self._settings.hold_s:
+                self._turned_ns = None
+        if lanes is not None:
             self._take(lanes, camera, t_ns, ego)
         return self._pose(t_ns)
 
@@ -97,6 +118,20 @@ class AttitudeEstimator:
         # The noise that keeps the resting covariance in balance, whatever the step: exact for white noise.
         self._covariance = forward @ (self._covariance - still) @ forward.T + still
 
+    def _turn(self, tilt: TiltChange, camera: Camera, t_ns: int) -> None:
+        """The pitch moved by what was seen to move; only the slope of the road drifts unseen. A leak leads back to rest."""
+        dt_s = (t_ns - tilt.t_from_ns) * 1e-9
+        self._t_ns = t_ns
+        moved_rad = -tilt.down_px / camera.fy_px
+        sigma_rad = tilt.sigma_px / camera.fy_px
+        still = self._at_rest()
+        keep = math.exp(-dt_s / self._settings.slope_time_s)
+        variance = keep**2 * float(self._covariance[0, 0]) + (1.0 - keep**2) * float(still[0, 0]) + sigma_rad**2
+        # The rate follows from the same movement, for the frames that will have none.
+        rate_sigma = math.sqrt(2.0) * sigma_rad / dt_s
+        self._state = np.array([keep * float(self._state[0]) + moved_rad, moved_rad / dt_s])
+        self._covariance = np.diag([min(variance, float(still[0, 0])), min(rate_sigma**2, float(still[1, 1]))])
+
     def _take(self, lanes: LaneSighting, camera: Camera, t_ns: int, ego: EgoState | None) -> None:
         ray = camera.rays(np.array([lanes.vanishing_px]))[0]
         roll_rad = self._calibrated[1] + self._roll[0]
@@ -109,11 +144,16 @@ class AttitudeEstimator:
         if not (math.isfinite(pitch_rad) and math.isfinite(sigma_rad)):
             return
         rest = self.rest
+        if self._turned_ns is not None:
+            # What misleads one picture's lanes (a kerb, a car's side) misleads the next ones too: not independent witnesses.
+            since_s = (t_ns - self._seen_ns) * 1e-9 if self._seen_ns is not None else _LANE_MEMORY_S
+            sigma_rad *= math.sqrt(1.0 + 2.0 * _LANE_MEMORY_S / max(since_s, 0.03))
         innovation = pitch_rad - rest.pitch_rad - float(self._state[0])
-        variance = float(self._covariance[0, 0]) + sigma_rad**2
-        if innovation**2 > self._settings.gate_sigma**2 * variance and not self._confirmed(pitch_rad, sigma_rad, t_ns):
+        doubtful = innovation**2 > self._settings.gate_sigma**2 * (float(self._covariance[0, 0]) + sigma_rad**2)
+        if doubtful and not self._confirmed(pitch_rad, sigma_rad, t_ns):
             return
         self._doubted = None
+        variance = float(self._covariance[0, 0]) + sigma_rad**2
         gain = self._covariance[:, 0] / variance
         self._state = self._state + gain * innovation
         left = np.eye(2) - np.outer(gain, [1.0, 0.0])
@@ -130,13 +170,16 @@ class AttitudeEstimator:
         """A far-off sighting is believed once the next one, soon after, agrees with it: clutter does not repeat itself."""
         before, self._doubted = self._doubted, (pitch_rad, sigma_rad, t_ns)
         if before is None or (t_ns - before[2]) * 1e-9 > self._settings.hold_s:
+            self._witnesses = 1
             return False
         dt_s = (t_ns - before[2]) * 1e-9
         moved_rad = self._settings.pitch_spread_rad * 2.0 * math.pi * self._settings.natural_hz * dt_s
         agrees = abs(pitch_rad - before[0]) <= 2.0 * math.hypot(sigma_rad, before[1], min(moved_rad, 0.01))
-        if agrees:
-            self._covariance = self._at_rest()
-        return agrees
+        self._witnesses = self._witnesses + 1 if agrees else 1
+        if self._witnesses < (2 if self._turned_ns is None else _WITNESSES_AGAINST_MOTION):
+            return False
+        self._covariance = self._at_rest()
+        return True
 
     def _take_roll(self, roll_rad: float, sigma_rad: float) -> None:
         """Roll changes slowly against its calibration: a first-order filter of about a second at 10 Hz."""

@@ -53,17 +53,36 @@ def edges_towards(grey: Image, prior: FloatArray, reach_px: float) -> FloatArray
     far = np.hypot(xs - prior[0], ys - prior[1])
     size = np.hypot(gx, gy)
     allowed = np.abs(gy) * reach_px + np.abs(gx) * 2.0 * reach_px + size * 0.12 * far
-    wrong = (miss > allowed) | (ys < prior[1] + 0.02 * grey.shape[1])
-    edges[ys[wrong], xs[wrong]] = 0
-    least = max(14, grey.shape[1] // 32)
-    found = cv2.HoughLinesP(edges, 1.0, math.pi / 180.0, 14, None, float(least), 4.0)
-    if found is None:
+    right = (miss <= allowed) & (ys >= prior[1] + 0.02 * grey.shape[1])
+    ys, xs, rising = ys[right], xs[right], gx[right] > 0.0
+    pieces = [_chains(grey.shape, ys[side], xs[side]) for side in (rising, ~rising)]
+    found = np.concatenate(pieces)
+    if len(found) == 0:
         return None
-    pieces = np.asarray(found, dtype=np.float64).reshape(-1, 4)
-    if len(pieces) > 3 * MAX_LINES:
-        length = np.hypot(pieces[:, 2] - pieces[:, 0], pieces[:, 3] - pieces[:, 1])
-        pieces = pieces[np.argsort(-length, kind="stable")[: 3 * MAX_LINES]]
-    return pieces
+    length = np.hypot(found[:, 2] - found[:, 0], found[:, 3] - found[:, 1])
+    return found[np.argsort(-length, kind="stable")[: 2 * MAX_LINES]]
+
+
+def _chains(shape: tuple[int, ...], ys: NDArray[np.int64], xs: NDArray[np.int64]) -> FloatArray:
+    """Straight pieces (n, 4) among edge pixels that hang together: one side of a stripe at a time, so that sides stay apart."""
+    mask = np.zeros(shape, dtype=np.uint8)
+    mask[ys, xs] = 255
+    mask = np.asarray(cv2.dilate(mask, np.ones((3, 3), np.uint8)), dtype=np.uint8)  # over gaps of two pixels
+    count, labels = cv2.connectedComponents(mask, connectivity=8, ltype=cv2.CV_16U)
+    label = labels[ys, xs]
+    n = np.maximum(np.bincount(label, minlength=count), 1).astype(np.float64)
+    mx, my = np.bincount(label, xs, count) / n, np.bincount(label, ys, count) / n
+    dx, dy = xs - mx[label], ys - my[label]
+    xx, xy, yy = (np.bincount(label, v, count) / n for v in (dx * dx, dx * dy, dy * dy))
+    half = np.hypot(0.5 * (xx - yy), xy)
+    major, minor = 0.5 * (xx + yy) + half, 0.5 * (xx + yy) - half
+    angle = 0.5 * np.arctan2(2.0 * xy, xx - yy)
+    ux, uy = np.cos(angle), np.sin(angle)
+    reach = np.sqrt(3.0 * np.maximum(major, 0.0))  # half the length of an even line
+    least = max(14, shape[1] // 32)
+    straight = (2.0 * reach >= least) & (minor < 1.0 + 0.0004 * reach**2)
+    ux, uy, mx, my, reach = ux[straight], uy[straight], mx[straight], my[straight], reach[straight]
+    return np.stack([mx - reach * ux, my - reach * uy, mx + reach * ux, my + reach * uy], axis=1)
 
 
 def measured(grey: Image, pieces: FloatArray) -> Lines | None:

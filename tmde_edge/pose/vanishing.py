@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from tmde_edge.pose.edges import MAX_LINES, FloatArray, Image, Lines, edges_towards, measured, painted
 
 _MODEL_RAD = 0.004  # lines of a real road are not straight and parallel to better than this
+_RIVAL = 0.75  # of the best score: what comes so near could have been it
 _LEAST_PX = 75.0  # of agreeing edges together
 _SPREAD_MIN_RAD = 0.35  # the lines must differ in direction by this much, or their meeting point is a guess
 
@@ -45,7 +46,11 @@ def _meeting_point(
     miss = _aim_error(lines, places) / (3.0 * sigma)
     worth = lines.trust * np.sqrt(lines.length_px)
     score = (np.clip(1.0 - miss**2, 0.0, None) * worth).sum(axis=1) - 0.25 * worth.sum() * (off**2).sum(axis=1)
+    best = float(score.max())
+    if best <= 0.0:
+        return None
     point = places[int(np.argmax(score))]
+    rivals = _rivalry(places, score / best)
 
     for _ in range(6):
         error, jacobian = _aim_jacobian(lines, point)
@@ -73,8 +78,16 @@ def _meeting_point(
     chi2 = float((weight * error[inlier] ** 2).sum()) / freedom
     # Few lines cannot show their spread: with two it is zero. The prior of one keeps small sets honest.
     inflation = (chi2 * freedom + 4.0) / (freedom + 4.0) if freedom else 1.0
-    covariance = np.linalg.inv(information) * max(inflation, 1.0) + 0.04 * np.eye(2)
+    covariance = np.linalg.inv(information) * max(inflation, 1.0) + np.diag(rivals**2 + 0.04)
     return point, covariance, winners
+
+
+def _rivalry(places: FloatArray, score: FloatArray) -> FloatArray:
+    """(2,): how far apart the points lie that are nearly as good as the best (score 1): large where clutter may have won."""
+    weight = np.clip(score - _RIVAL, 0.0, None)
+    middle = (weight[:, None] * places).sum(axis=0) / weight.sum()
+    spread: FloatArray = np.sqrt((weight[:, None] * (places - middle) ** 2).sum(axis=0) / weight.sum())
+    return spread
 
 
 def _crossings(lines: Lines, a: NDArray[np.int64], b: NDArray[np.int64]) -> FloatArray:
