@@ -12,7 +12,8 @@ STRIDES_PX = (4, 16)  # of the two heads: plates up to about 96 px wide, and fro
 UNITS_PX = (16.0, 64.0)  # corner offsets come in these units, from the cell's centre
 CHANNELS = 9  # score logit, then x, y of TL, TR, BR, BL
 MAX_PEAKS = 128
-SAME_PLATE = 0.45  # part of the smaller quad that lies in the other one: above it both are one plate
+SAME_PLATE = 0.45  # part of the smaller quad that lies in the other one: above it both are one plate ...
+OTHER_THING = 6.0  # ... unless their areas differ by this factor: a sign or a bumper must not hide the plate on it
 
 Maps = NDArray[np.float32]  # (CHANNELS, rows, cols)
 Quads = NDArray[np.float64]  # (n, 4, 2)
@@ -75,7 +76,10 @@ def _sigmoid(logit: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def suppress(quads: Quads, max_kept: int) -> list[int]:
-    """Indices kept of quads (n, 4, 2) sorted best first: of two that mostly cover each other, or lie nested, the better stays."""
+    """Indices kept of quads (n, 4, 2) sorted best first: of two that mostly cover each other, or lie nested, the better stays.
+
+    Of very different areas both stay: the reader behind tells which one is the plate.
+    """
     lo, hi = quads.min(1, initial=np.inf), quads.max(1, initial=-np.inf)
     area = np.array([abs(cv2.contourArea(q.astype(np.float32))) for q in quads])
     kept: list[int] = []
@@ -86,7 +90,8 @@ def suppress(quads: Quads, max_kept: int) -> list[int]:
             continue
         k = np.array(kept, np.intp)
         touching = k[((lo[k] < hi[i]) & (hi[k] > lo[i])).all(1)] if kept else k
-        if not any(_overlap_px2(quads[i], quads[j]) > SAME_PLATE * min(area[i], area[j]) for j in touching):
+        near = [j for j in touching if max(area[i], area[j]) < OTHER_THING * min(area[i], area[j])]
+        if not any(_overlap_px2(quads[i], quads[j]) > SAME_PLATE * min(area[i], area[j]) for j in near):
             kept.append(i)
     return kept
 

@@ -64,11 +64,18 @@ def test_both_heads_report_one_plate_once_and_neighbours_stay() -> None:
 
 
 def test_a_quad_inside_another_is_kept_once_the_better_one() -> None:
-    outer, inner = rectangle(160, 96, 200, 60), rectangle(160, 96, 90, 20)
+    outer, inner = rectangle(160, 96, 200, 60), rectangle(160, 96, 120, 30)
     whole, part = maps_of([outer], 1, logit=4.0), maps_of([inner], 0, logit=1.0)
     found = decode((part[0], whole[1]), score_min=0.3)
     assert len(found) == 1
     assert np.ptp(found[0].corners_px[:, 0]) == pytest.approx(200, abs=1e-2)
+
+
+def test_a_plate_on_a_sign_that_scores_higher_stays() -> None:
+    sign, plate = rectangle(160, 96, 250, 120), rectangle(160, 96, 90, 20)
+    whole, part = maps_of([sign], 1, logit=4.0), maps_of([plate], 0, logit=1.0)
+    found = decode((part[0], whole[1]), score_min=0.3)
+    assert [round(float(np.ptp(c.corners_px[:, 0]))) for c in found] == [250, 90]
 
 
 def test_low_scores_and_broken_quads_give_nothing() -> None:
