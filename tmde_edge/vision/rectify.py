@@ -88,6 +88,17 @@ def rectify(image: Image, corners_px: Array, width_px: int, height_px: int) -> t
     return np.asarray(flat, dtype=np.uint8), source_from_rectified
 
 
+def rectify_grey(image: Image, corners_px: Array, width_px: int, height_px: int) -> tuple[Image, Array]:
+    """`rectify` of a grey, BGR or BGRA image to grey; only the part round the plate is converted and read."""
+    h, w = image.shape[:2]
+    x0, y0, x1, y1 = bounds(corners_px)
+    left, top = int(np.clip(x0 - 4, 0, w - 1)), int(np.clip(y0 - 4, 0, h - 1))
+    right, bottom = int(np.clip(x1 + 5, left + 1, w)), int(np.clip(y1 + 5, top + 1, h))
+    flat, crop_from_flat = rectify(to_grey(image[top:bottom, left:right]), corners_px - (left, top), width_px, height_px)
+    source_from_crop = np.array([[1.0, 0.0, left], [0.0, 1.0, top], [0.0, 0.0, 1.0]])
+    return flat, np.asarray(source_from_crop @ crop_from_flat)
+
+
 def apply_homography(homography: Array, points: Array) -> Array:
     """(n, 2) points through a (3, 3) homography."""
     mapped = np.column_stack([points, np.ones(len(points))]) @ homography.T

@@ -47,8 +47,8 @@ class _Side:
     blur_px: float
 
 
-def refine_outline(image: Image, corners_px: Array) -> OutlineFit:
-    """The outline near the given corners that the image itself shows.
+def refine_outline(image: Image, corners_px: Array, given_sigma_px: float | None = None) -> OutlineFit:
+    """The outline near the given corners that the image itself shows; given_sigma_px: how well those are believed.
 
     `refined` is False when a side shows no edge or leaves the image: that side then stays where it was, with a sigma of
     a quarter of the search reach.
@@ -60,7 +60,7 @@ def refine_outline(image: Image, corners_px: Array) -> OutlineFit:
     patch, shift = _patch(image, corners_px, 1.5 * reach + 4)
     if _dark_ground(patch, corners_px - shift):
         patch = 255.0 - patch
-    sides = _fit_sides(patch, corners_px - shift, reach, height_px)
+    sides = _fit_sides(patch, corners_px - shift, reach, height_px, given_sigma_px or GIVEN_OF_HEIGHT * height_px)
     lines = []
     for i, side in enumerate(sides):
         a, b = corners_px[i], corners_px[(i + 1) % 4]
@@ -145,7 +145,9 @@ def _derivative(grey: Array, step_px: float, smooth_px: float) -> Array:
     return np.asarray(out, dtype=np.float64).reshape(grey.shape)
 
 
-def _fit_sides(patch: NDArray[np.float32], corners_px: Array, reach: float, height_px: float) -> list[_Side | None]:
+def _fit_sides(
+    patch: NDArray[np.float32], corners_px: Array, reach: float, height_px: float, given_sigma_px: float
+) -> list[_Side | None]:
     """The plate's edge near each side: direction, the first step's pieces, then the edge model; None where none shows."""
     step = max(STEP_PX, reach / 48)
     across = np.asarray(np.arange(np.floor(-1.3 * reach / step), np.ceil(1.3 * reach / step) + 1) * step, np.float64)
@@ -161,7 +163,7 @@ def _fit_sides(patch: NDArray[np.float32], corners_px: Array, reach: float, heig
     if not profiles:
         return inner
     ink = _ink_level(patch, corners_px)
-    fits = fit_edges(np.array(profiles), across, np.array(starts), height_px, ink, GIVEN_OF_HEIGHT * height_px)
+    fits = fit_edges(np.array(profiles), across, np.array(starts), height_px, ink, given_sigma_px)
     sides: list[_Side | None] = []
     for side in inner:
         if side is None:

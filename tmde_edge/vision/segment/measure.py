@@ -85,6 +85,16 @@ def stroke_width(mask: NDArray[np.uint8]) -> float:
     return float(2 * np.median(distance[ridge]) - 0.5) if ridge.any() else 0.0
 
 
+def ink_mask(flat: Image, box: Array, light_on_dark: bool) -> NDArray[np.uint8]:
+    """One character's ink inside its box by Otsu's threshold, 0 or 1."""
+    x0, y0 = max(0, int(np.ceil(box[0]))), max(0, int(np.ceil(box[1])))
+    part = flat[y0 : max(y0, int(box[3])) + 1, x0 : max(x0, int(box[2])) + 1]
+    if part.size == 0:
+        return np.zeros((1, 1), np.uint8)
+    kind = cv2.THRESH_BINARY if light_on_dark else cv2.THRESH_BINARY_INV
+    return np.asarray(cv2.threshold(part, 0, 1, kind | cv2.THRESH_OTSU)[1], dtype=np.uint8)
+
+
 def border_thickness(flat: Image, light_on_dark: bool) -> float | None:
     """Thickness of the line that runs round the plate, rectified pixels; None where no such line stands clear.
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tmde_edge.vision.protocols import CharacterBox, Image, PlateCandidate, PlateReading
-from tmde_edge.vision.rectify import apply_homography, is_convex, rectify, size_px, to_grey
+from tmde_edge.vision.rectify import apply_homography, is_convex, rectify_grey, size_px
 from tmde_edge.vision.refine import OutlineFit, refine_outline
 from tmde_edge.vision.segment.measure import border_thickness, box_edges, stroke_width
 from tmde_edge.vision.settings import SegmenterSettings
@@ -189,30 +189,45 @@ class PaperReader:
 
 def read_characters(image: Image, fit: OutlineFit, rectified_height_px: int | None = None) -> PlateReading:
     """Algorithm 2 on one outline. Heights, strokes and border in source pixels."""
-    width_px, height_px = size_px(fit.corners_px)
-    if width_px < 4 or height_px < 4:
+    view = flatten(image, fit.corners_px, rectified_height_px)
+    if view is None:
         return PlateReading(corners_px=fit.corners_px, corners_sigma_px=fit.sigma_px, refined=False, characters=())
-    scale = min(enlargement(height_px), MAX_HEIGHT_PX / height_px)
-    if rectified_height_px:
-        scale = rectified_height_px / height_px
-    flat_w, flat_h = max(8, round(width_px * scale)), max(8, round(height_px * scale))
-    flat, source_from_flat = rectify(to_grey(image), fit.corners_px, flat_w, flat_h)
-    found = segment_characters(flat)
-    flat_per_px = flat_h / height_px
-    edges, sigma = box_edges(flat, found.boxes, found.light_on_dark)
-    strokes = [stroke_width(m) for m in found.masks]
-    boxes = _in_source(edges, source_from_flat, sigma / flat_per_px, [s / flat_per_px for s in strokes])
-    border = border_thickness(flat, found.light_on_dark)
+    found = segment_characters(view.grey)
+    edges, sigma = box_edges(view.grey, found.boxes, found.light_on_dark)
+    strokes = [stroke_width(m) / view.per_px for m in found.masks]
+    border = border_thickness(view.grey, found.light_on_dark)
     return PlateReading(
         corners_px=fit.corners_px,
         corners_sigma_px=fit.sigma_px,
         refined=fit.refined,
-        characters=boxes,
+        characters=_in_source(edges, view.source_from_flat, sigma / view.per_px, strokes),
         light_on_dark=found.light_on_dark,
-        stroke_px=float(np.median(strokes)) / flat_per_px if strokes else None,
-        border_px=None if border is None else border / flat_per_px,
+        stroke_px=float(np.median(strokes)) if strokes else None,
+        border_px=None if border is None else border / view.per_px,
         blur_px=fit.blur_px,
     )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FlatView:
+    """A rectified grey plate, how to get back, and its pixels per source pixel."""
+
+    grey: Image
+    source_from_flat: NDArray[np.float64]
+    per_px: float
+
+
+def flatten(image: Image, corners_px: NDArray[np.float64], rectified_height_px: int | None = None) -> FlatView | None:
+    """The plate rectified at the size it is segmented at (None: as the paper enlarges it); None for a speck."""
+    width_px, height_px = size_px(corners_px)
+    if width_px < 4 or height_px < 4 or not is_convex(corners_px):
+        return None
+    scale = min(enlargement(height_px), MAX_HEIGHT_PX / height_px)
+    if rectified_height_px:
+        scale = rectified_height_px / height_px
+    flat_w, flat_h = max(8, round(width_px * scale)), max(8, round(height_px * scale))
+    grey, source_from_flat = rectify_grey(image, corners_px, flat_w, flat_h)
+    return FlatView(grey=grey, source_from_flat=source_from_flat, per_px=flat_h / height_px)
 
 
 def _in_source(
