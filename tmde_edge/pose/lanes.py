@@ -17,6 +17,8 @@ from tmde_edge.pose.edges import FloatArray, Image, Lines
 from tmde_edge.pose.settings import PoseSettings
 from tmde_edge.pose.vanishing import paper, robust
 
+_PAINTED = 2.0  # trust of an edge that may be a lane's border: light paint, not a kerb or a shadow
+
 
 class LaneFinder:
     """Finds where the road's lines meet, on a reduced image below the expected horizon."""
@@ -93,14 +95,14 @@ def _borders(lines: Lines, point: FloatArray, bottom_row: float) -> tuple[float 
     if depth < 8.0:
         return None, None
     down = np.where(lines.direction[:, 1] < 0.0, -1.0, 1.0)[:, None] * lines.direction
-    steep = down[:, 1] > 0.15
+    steep = (down[:, 1] > 0.15) & (lines.trust > _PAINTED)
     column = float(point[0]) + (lines.middle_px[:, 0] - point[0]) * depth / np.maximum(lines.middle_px[:, 1] - point[1], 4.0)
     off = (column - float(point[0])) / depth
     sides: list[float | None] = []
     for sign in (-1.0, 1.0):
         here = steep & (sign * off > 0.4) & (sign * off < 2.5)
         support = np.array([lines.length_px[here & (np.abs(off - o) < 0.12)].sum() for o in off])
-        here &= support >= 30.0
+        here &= support >= 20.0
         if here.any():
             nearest = float(np.abs(off[here]).min())
             group = here & (np.abs(np.abs(off) - nearest) < 0.15)

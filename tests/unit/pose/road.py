@@ -20,7 +20,7 @@ def projected(points_vehicle_m: FloatArray, pose: Pose, camera: Camera = CAMERA)
 
 def picture(
     pose: Pose, *, stripes_m: tuple[float, ...] = (-5.3, -1.75, 1.75, 5.2), dashes: bool = True, noise: float = 3.0,
-    car: bool = False, camera: Camera = CAMERA, seed: int = 0,
+    car: bool = False, camera: Camera = CAMERA, seed: int = 0, skyline: bool = False,
 ) -> np.ndarray:  # fmt: skip
     """BGR image of a straight road: pale sky, dark road, stripes 15 cm wide at these lateral places."""
     image = np.full((camera.height_px, camera.width_px), 190.0, np.float32)
@@ -30,6 +30,13 @@ def picture(
     ground = [[-side, horizon[0, 1] + slope * (-side - horizon[0, 0])], [side, horizon[0, 1] + slope * (side - horizon[0, 0])],
               [side, side], [-side, side]]  # fmt: skip
     _fill(image, np.array(ground), 70.0)
+    if skyline:
+        houses = np.random.default_rng(99)  # the same town in every picture, 400 m away
+        for x_m in np.arange(-400.0, 400.0, 11.0):
+            top_m, level = houses.uniform(2.0, 40.0), houses.uniform(40.0, 160.0)
+            wall = np.array([[x_m, HEIGHT_M, 400.0], [x_m, HEIGHT_M - top_m, 400.0], [x_m + 10, HEIGHT_M - top_m, 400.0],
+                             [x_m + 10, HEIGHT_M, 400.0]])  # fmt: skip
+            _fill(image, projected(wall, pose, camera), float(level))
     for lateral_m in stripes_m:
         solid = not dashes or lateral_m in (stripes_m[0], stripes_m[-1])
         ends = [(3.0, 90.0)] if solid else [(4.0 + 9 * k, 7.0 + 9 * k) for k in range(8)]

@@ -8,12 +8,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from road import CAMERA, picture
 
-from tmde_edge.messages import EgoState, LaneSighting, Pose
+from tmde_edge.messages import EgoState, LaneSighting, Pose, TiltChange
 from tmde_edge.pose.attitude import AttitudeEstimator, oscillator
 from tmde_edge.pose.compensate import vanishing_point_px
 from tmde_edge.pose.lanes import LaneFinder
 from tmde_edge.pose.resting import BLOCK_SAMPLES, BLOCKS_NEEDED, RestingPose
 from tmde_edge.pose.settings import PoseSettings
+from tmde_edge.pose.tilt import TiltMeter
 
 SECOND_NS = 1_000_000_000
 
@@ -162,3 +163,49 @@ def test_absurd_samples_teach_nothing() -> None:
 def test_two_steps_are_one(a: float, b: float) -> None:
     both = oscillator(b, 7.5, 0.5) @ oscillator(a, 7.5, 0.5)
     assert np.allclose(both, oscillator(a + b, 7.5, 0.5), atol=1e-9)
+
+
+def test_pitching_without_lanes_is_followed_by_the_pictures_own_movement() -> None:
+    """Lanes at the start only; then 2 s of +-2 deg at 0.8 Hz with nothing but a skyline."""
+    estimator, meter = AttitudeEstimator(PoseSettings(), CAMERA), TiltMeter()
+    errors, sigmas = [], []
+    for k in range(70):
+        t_ns = round(k / 30 * 1e9)
+        true = Pose(pitch_rad=math.radians(2.0) * math.sin(2 * math.pi * 0.8 * max(k - 10, 0) / 30), roll_rad=0.0)
+        image = picture(true, seed=k, stripes_m=(), skyline=True)
+        tilt = meter.see(image, t_ns, estimator.expected_vanishing_px(1280, 720))
+        assert (tilt is None) == (k == 0)
+        got = estimator.update(lanes_of(true) if k < 10 else None, t_ns, None, None, tilt)
+        errors.append(got.pitch_rad - true.pitch_rad)
+        sigmas.append(got.pitch_sigma_rad)
+    assert math.degrees(float(np.sqrt(np.mean(np.square(errors))))) <= 0.25
+    assert np.mean(np.abs(errors) < 2.0 * np.array(sigmas)) > 0.9
+
+
+def test_clutter_that_repeats_does_not_overrule_what_was_not_seen_to_move() -> None:
+    estimator = AttitudeEstimator(PoseSettings(), CAMERA)
+    level = Pose(pitch_rad=0.0, roll_rad=0.0)
+    for k in range(60):
+        t_ns = k * SECOND_NS // 30
+        tilt = TiltChange(t_from_ns=(k - 1) * SECOND_NS // 30, down_px=0.0, sigma_px=0.3) if k else None
+        wild = 30 <= k < 42 and k % 3 == 0  # four wrong sightings that agree with each other
+        got = estimator.update(lanes_of(level, 1.0, dy=40.0 if wild else 0.0) if k % 3 == 0 else None, t_ns, None, None, tilt)
+        assert abs(got.pitch_rad) < 3e-3
+
+
+def test_still_picture_does_not_tilt_and_gaps_or_sky_say_nothing() -> None:
+    image = picture(Pose(pitch_rad=0.0, roll_rad=0.0), skyline=True, noise=0.0)
+    meter = TiltMeter()
+    assert meter.see(image, 0, None) is None
+    still = meter.see(image, 30_000_000, None)
+    assert still is not None
+    assert abs(still.down_px) < 0.01
+    assert still.t_from_ns == 0
+    moved = meter.see(np.roll(image, 3, axis=0), 60_000_000, None)
+    assert moved is not None
+    assert moved.down_px == pytest.approx(3.0, abs=0.5)
+    assert meter.see(image, 5 * SECOND_NS, None) is None
+    sky = np.full((720, 1280), 200, np.uint8)
+    assert meter.see(sky, 5 * SECOND_NS + 1, None) is None
+    assert meter.see(sky, 5 * SECOND_NS + 2, None) is None
+    assert meter.see(np.zeros((20, 20), np.uint8), 6 * SECOND_NS, None) is None
