@@ -27,6 +27,7 @@ _CLOSE = 0.02  # expected fall of the cost at which the last step is taken unsee
 _GLYPH_C = 2.4  # Cauchy scale in sigmas: 95 % efficient on Gaussian noise
 _CORNER_C = 3.0
 _ANGLE_C = 2.0
+_WILD = 5.0  # sigmas
 _PRIOR_DOF = 6.0  # residuals worse than stated must show on more than a few features before the noise is scaled
 _SIGNS = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
 
@@ -66,6 +67,8 @@ class Fit:
     glyphs_used: int
     corners_used: int
     pitch_used: bool
+    strain: float  # cost a residual; well above 1 where something does not fit
+    rejected: float  # share of the characters that the fit calls wild
 
     @property
     def covariance(self) -> Floats:
@@ -108,6 +111,7 @@ class _State:
     assumed: Floats  # the prior's information
     chi2: float  # weighted squared residuals
     weight: float  # sum of weights
+    rejected: float
 
 
 class _Problem:
@@ -192,7 +196,11 @@ class _Problem:
         assumed[:3, :3] *= np.diag(tail)
         pull = assumed @ off
         cost += float(off[3:] @ pull[3:]) - _ANGLE_C**2 * float(np.log(tail).sum())
-        return _State(cost, data + assumed, weighted @ now + pull, data, assumed, float(w @ squares), float(w.sum()))
+        glyphs = squares[c : c + len(self.glyph)]
+        rejected = float(np.mean(glyphs > _WILD**2)) if len(glyphs) else 0.0
+        return _State(
+            cost, data + assumed, weighted @ now + pull, data, assumed, float(w @ squares), float(w.sum()), rejected
+        )
 
     def finish(self, x: Floats, state: _State) -> Fit | None:
         if not np.isfinite(x).all() or abs(x[YAW]) > 1.4 or abs(x[LEAN]) > 1.2:
@@ -205,8 +213,11 @@ class _Problem:
         sign, logdet = np.linalg.slogdet(state.normal)
         prior_logdet = np.linalg.slogdet(self.m.information)[1]
         evidence = -0.5 * state.cost + 0.5 * (prior_logdet - (logdet if sign > 0 else 0.0))
-        return Fit(x=x, noise=noise, prior=prior, cost=state.cost, evidence=float(evidence), glyphs_used=len(self.glyph),
-                   corners_used=len(self.corner), pitch_used=bool(self.runs))
+        return Fit(
+            x=x, noise=noise, prior=prior, cost=state.cost, evidence=float(evidence), glyphs_used=len(self.glyph),
+            corners_used=len(self.corner), pitch_used=bool(self.runs), rejected=state.rejected,
+            strain=state.cost / max(2 * len(self.corner) + len(self.glyph) + len(self.runs), 1),
+        )
 
 
 def axes(angles: Floats) -> tuple[Floats, Floats, Floats]:

@@ -178,7 +178,7 @@ def build_model(expected: Expectation, features: Features, known: Sizes, bias: F
 
 
 def starts(expected: Expectation, features: Features, model: Model, state: TrackScale | None) -> list[Floats]:
-    """Starting points (p,): the track's last pose; without one, both planar solutions, or the plate facing us."""
+    """Starting points (p,): the track's last pose; without one, both planar solutions, then the plate facing us."""
     facing = model.mean.copy()
     facing[ROLL] = _row_slope(features)
     if state is not None and state.yaw_sigma_rad < 0.15:
@@ -196,7 +196,7 @@ def starts(expected: Expectation, features: Features, model: Model, state: Track
             x[LOG_D] += model.mean[POSE + k]
             if abs(x[YAW]) < 1.2 and abs(x[LEAN]) < 0.8:
                 found.append(x)
-    return found or [facing]
+    return [*found, facing]
 
 
 def _row_slope(features: Features) -> float:

@@ -18,9 +18,9 @@ from tmde_edge.plates.standard import PlateStandard
 from tmde_edge.ranging import cues, fuse
 from tmde_edge.ranging.classify import StandardClass, classes, layout_log_likelihood, shape_log_likelihood
 from tmde_edge.ranging.features import Features, clusters, gather
-from tmde_edge.ranging.fit import LEAN, LOG_D, POSE, ROLL, YAW, Fit, U, V, solve
+from tmde_edge.ranging.fit import LEAN, LOG_D, POSE, ROLL, YAW, Fit, Model, U, V, solve
 from tmde_edge.ranging.model import assign_classes, build_model, first_distance_m, misplaced, size_bias, starts
-from tmde_edge.ranging.scale_memory import Sizes, TrackScale, carried_belief, learn
+from tmde_edge.ranging.scale_memory import Sizes, TrackScale, learn, normalised
 from tmde_edge.ranging.settings import RangingSettings
 
 Floats = NDArray[np.float64]
@@ -28,6 +28,9 @@ Floats = NDArray[np.float64]
 _AMBIGUOUS_COST = 9.0  # a second pose within this cost of the best is kept in the mixture
 _MISFIT_SIGMAS = 5.0  # a plate whose proportions differ this much from the learned ones is another plate
 _MISFITS_TO_RESET = 3
+_STRAIN = 1.3  # a fit under more strain asks for a second look from elsewhere
+_SHAPE_SLACK = 3.0  # the cheap look may be wrong by so much in log likelihood
+_FIRST_LOOK = 2  # a plate seen for the first time may cost more fits
 _UNASSIGNED_COST = 9.0  # of a glyph that fits no class of a standard
 _MISPLACED_COST = 3.0  # of a glyph of another height than the standard's layout has there
 
@@ -46,6 +49,24 @@ class _Answer:
     yaw_sigma_rad: float
     known: Sizes
     bias: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class _Score:
+    """Log belief before a fit, and the part that the layout alone adds in every frame."""
+
+    belief: float
+    layout: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Hypothesis:
+    """One class's share of the mixture; weights sum to one."""
+
+    weight: float
+    log_d: float
+    noise_var: float
+    prior_var: float
 
 
 class Ranger:
@@ -70,19 +91,21 @@ class Ranger:
         """
         features = gather(plate, camera, np.asarray(view_from_vehicle, dtype=np.float64))
         known = state if state is not None and state.track_id == plate.track_id else None
-        empty = known or TrackScale(track_id=plate.track_id, t_ns=t_ns, log_belief={}, sizes={})
+        empty = known or TrackScale(track_id=plate.track_id, t_ns=t_ns, log_belief={}, log_offsets={}, sizes={})
         reason = self._too_little(features, plate)
         if reason:
             return None, empty, reason
-        answers = self._fit_all(plate, features, known, t_ns)
-        if known is not None and known.misfits + 1 >= _MISFITS_TO_RESET and self._misfit(answers):
-            known = None
-            answers = self._fit_all(plate, features, None, t_ns)
+        scores = self._scores(plate, features, known)
+        answers = self._fit_all(features, known, t_ns, scores)
+        if answers and known is not None and known.misfits + 1 >= _MISFITS_TO_RESET and self._misfit(answers):
+            known, scores = None, self._scores(plate, features, None)
+            answers = self._fit_all(features, None, t_ns, scores)
         if not answers:
             return None, empty, "no planar pose fits what was seen"
-        belief = self._belief(answers, known)
-        after = self._remember(answers, belief, known, plate, t_ns)
-        range_, reason = self._result(plate, camera, features, answers, belief, t_ns)
+        belief = self._belief(answers, known, scores)
+        parts = _hypotheses(answers, belief, known)
+        after = self._remember(answers, belief, parts, known, plate, t_ns)
+        range_, reason = self._result(plate, camera, features, answers, belief, parts, t_ns)
         return range_, after, reason
 
     def _too_little(self, features: Features, plate: PlateSighting) -> str | None:
@@ -100,22 +123,30 @@ class Ranger:
             return f"too small: {seen}, below {s.min_plate_width_px:g} px, and its characters below {s.min_char_height_px:g} px"
         return None
 
-    def _fit_all(self, plate: PlateSighting, features: Features, known: TrackScale | None, t_ns: int) -> list[_Answer]:
+    def _fit_all(self, features: Features, known: TrackScale | None, t_ns: int, scores: dict[str, _Score]) -> list[_Answer]:
+        """Fits the classes worth it: the most believed; on a followed track also one of the others in turn."""
+        order = sorted(scores, key=lambda k: -scores[k].belief)
+        slack = 0.0 if known is not None else _SHAPE_SLACK
+        floor = scores[order[0]].belief + float(np.log(self.settings.belief_floor)) - slack
+        worth = [k for k in order if scores[k].belief > floor]
+        if known is None:
+            chosen = worth[: _FIRST_LOOK * self.settings.max_fits]
+        else:
+            chosen, rest = worth[: self.settings.max_fits], order[len(worth[: self.settings.max_fits]) :]
+            rest = [k for k in rest if scores[k].belief > floor - _SHAPE_SLACK]
+            chosen += [rest[known.frames % len(rest)]] if rest else []
+        answers = (self._fit(self._classes[k], features, known, t_ns, scores[k].layout) for k in chosen)
+        return [a for a in answers if a is not None]
+
+    def _scores(self, plate: PlateSighting, features: Features, known: TrackScale | None) -> dict[str, _Score]:
+        """Belief before this frame's fits; a new plate's comes from a cheap look at its shape."""
         layout = {k: layout_log_likelihood(c, plate, features) for k, c in self._classes.items()}
         if known is not None and known.log_belief:
-            first = dict(known.log_belief)
-        else:
-            first = {k: self._log_prior[k] + layout[k] + shape_log_likelihood(c, features) for k, c in self._classes.items()}
-        order = sorted(first, key=lambda k: -first[k])
-        best = first[order[0]]
-        floor = float(np.log(self.settings.belief_floor)) - (0.0 if known is not None else 3.0)
-        worth = [k for k in order if first[k] - best > floor][: self.settings.max_fits]
-        found = []
-        for key in worth:
-            answer = self._fit(self._classes[key], features, known, t_ns, layout[key])
-            if answer is not None:
-                found.append(answer)
-        return found
+            return {k: _Score(v, layout[k]) for k, v in known.log_belief.items()}
+        return {
+            k: _Score(self._log_prior[k] + layout[k] + shape_log_likelihood(c, features), layout[k])
+            for k, c in self._classes.items()
+        }
 
     def _fit(self, group: StandardClass, features: Features, known: TrackScale | None, t_ns: int,
              layout: float) -> _Answer | None:
@@ -129,13 +160,9 @@ class Ranger:
         bias = size_bias(expected, features, self.settings)
         age_s = (t_ns - known.t_ns) * 1e-9 if known is not None else 0.0
         model = build_model(expected, features, sizes, bias, glyph_class, distance, known, age_s, self.settings)
-        fits = [f for x in starts(expected, features, model, known) if (f := solve(features, model, x)) is not None]
+        fits = _solutions(features, model, starts(expected, features, model, known))
         if not fits:
             return None
-        fits.sort(key=lambda f: f.cost)
-        fits = [f for f in fits if f.cost < fits[0].cost + _AMBIGUOUS_COST]
-        if len(fits) > 1 and np.abs(fits[1].x[:POSE] - fits[0].x[:POSE]).max() < 1e-3:
-            fits = fits[:1]
         best = fits[0]
         weights = [float(np.exp(-0.5 * (f.cost - best.cost))) for f in fits]
         log_d, spread = fuse.mixture(weights, [f.x[LOG_D] for f in fits], [0.0] * len(fits))
@@ -148,37 +175,43 @@ class Ranger:
             evidence=best.evidence - 0.5 * lost + layout, yaw_sigma_rad=yaw_sigma, known=sizes, bias=bias,
         )
 
-    def _belief(self, answers: list[_Answer], known: TrackScale | None) -> dict[str, float]:
-        """Log belief over the classes that were fitted."""
-        if known is not None and known.log_belief:
-            share = self.settings.memory_share
-            prior = {a.group.id: known.log_belief.get(a.group.id, -9.0) for a in answers}
-        else:
-            share, prior = 1.0, {a.group.id: self._log_prior[a.group.id] for a in answers}
-        return carried_belief(prior, {a.group.id: share * a.evidence for a in answers})
+    def _belief(self, answers: list[_Answer], known: TrackScale | None, scores: dict[str, _Score]) -> dict[str, float]:
+        """Log belief over all classes; those that were not fitted keep their standing against those that were."""
+        fitted = {a.group.id: a.evidence for a in answers}
+        if known is None or not known.log_belief:
+            # The cheap look and the fit measure the same thing but for a constant: take it from the best fit.
+            total = {k: self._log_prior[k] + e for k, e in fitted.items()}
+            best = max(total, key=lambda k: total[k])
+            rest = {k: s.belief + min(total[best] - scores[best].belief, 0.0) for k, s in scores.items() if k not in fitted}
+            return normalised({**rest, **total})
+        share = self.settings.memory_share
+        usual = fuse.mixture([float(np.exp(scores[k].belief)) for k in fitted], list(fitted.values()), [0.0] * len(fitted))[0]
+        return normalised({k: s.belief + share * fitted.get(k, usual) for k, s in scores.items()})
 
     def _misfit(self, answers: list[_Answer]) -> bool:
         """Whether even the best standard's learned proportions are far from what is seen."""
-        return all(_contradiction(a) > _MISFIT_SIGMAS for a in answers)
+        return all(_contradicts(a) for a in answers)
 
-    def _remember(self, answers: list[_Answer], belief: dict[str, float], known: TrackScale | None, plate: PlateSighting,
-                  t_ns: int) -> TrackScale:
+    def _remember(self, answers: list[_Answer], belief: dict[str, float], parts: dict[str, _Hypothesis],
+                  known: TrackScale | None, plate: PlateSighting, t_ns: int) -> TrackScale:
         sizes = dict(known.sizes) if known is not None else {}
         share = self.settings.memory_share
         for a in answers:
             cov = a.fit.covariance[POSE:, POSE:]
             sizes[a.group.id] = learn(a.known, a.bias, a.fit.x[POSE:], cov, share)
         best = max(answers, key=lambda a: belief[a.group.id])
+        mean, _ = _mixed(parts)
+        offsets = {k: p.log_d - mean for k, p in parts.items()}
         misfits = known.misfits + 1 if known is not None and self._misfit(answers) else 0
         return TrackScale(
-            track_id=plate.track_id, t_ns=t_ns, log_belief=belief, sizes=sizes, yaw_rad=float(best.fit.x[YAW]),
-            yaw_sigma_rad=best.yaw_sigma_rad, lean_rad=float(best.fit.x[LEAN]),
+            track_id=plate.track_id, t_ns=t_ns, log_belief=belief, log_offsets=offsets, sizes=sizes,
+            yaw_rad=float(best.fit.x[YAW]), yaw_sigma_rad=best.yaw_sigma_rad, lean_rad=float(best.fit.x[LEAN]),
             lean_sigma_rad=float(best.fit.covariance[LEAN, LEAN] ** 0.5), roll_rad=float(best.fit.x[ROLL]),
             frames=(known.frames if known is not None else 0) + 1, misfits=misfits,
         )
 
-    def _result(self, plate: PlateSighting, camera: Camera, features: Features, answers: list[_Answer], belief: dict[str, float],
-                t_ns: int) -> tuple[RangeMeasurement | None, str | None]:
+    def _result(self, plate: PlateSighting, camera: Camera, features: Features, answers: list[_Answer],
+                belief: dict[str, float], parts: dict[str, _Hypothesis], t_ns: int) -> tuple[RangeMeasurement | None, str | None]:
         s = self.settings
         best = max(answers, key=lambda a: belief[a.group.id])
         x = best.fit.x
@@ -190,11 +223,9 @@ class Ranger:
             distance, noise, prior_var, used = fused
             noise_var = (noise / distance) ** 2
         else:
-            weights = [float(np.exp(belief[a.group.id])) for a in answers]
-            mean, spread = fuse.mixture(weights, [a.log_d for a in answers], [0.0] * len(answers))
-            total = sum(weights)
-            noise_var = sum(w * a.noise_var for w, a in zip(weights, answers, strict=True)) / total
-            prior_var = sum(w * a.prior_var for w, a in zip(weights, answers, strict=True)) / total + spread**2
+            mean, spread = _mixed(parts)
+            noise_var = sum(p.weight * p.noise_var for p in parts.values())
+            prior_var = sum(p.weight * p.prior_var for p in parts.values()) + spread**2
             distance = float(np.exp(mean))
             used = _used_by_fit(best)
         scale_sigma = float(np.hypot(prior_var**0.5, camera.focal_sigma))
@@ -222,10 +253,52 @@ class Ranger:
         return cues.all_cues(features, answer.group.expected.standard, tall, self.settings)
 
 
-def _contradiction(answer: _Answer) -> float:
-    """How many sigmas the fitted sizes were pulled from the known ones, in the worst direction."""
+def _hypotheses(answers: list[_Answer], belief: dict[str, float], known: TrackScale | None) -> dict[str, _Hypothesis]:
+    """What is mixed: the fitted classes, and those of a track that were not fitted now but stood by them before.
+
+    Their remembered distance ratio keeps the mean from jumping when a class enters or leaves the fits.
+    """
+    best = max(answers, key=lambda a: belief[a.group.id])
+    found = {a.group.id: (a.log_d, a.noise_var, a.prior_var) for a in answers}
+    if known is not None and best.group.id in known.log_offsets:
+        base = best.log_d - known.log_offsets[best.group.id]
+        for k, offset in known.log_offsets.items():
+            found.setdefault(k, (base + offset, best.noise_var, best.prior_var))
+    weights = {k: float(np.exp(belief[k])) for k in found}
+    total = sum(weights.values())
+    return {k: _Hypothesis(weights[k] / total, *v) for k, v in found.items()}
+
+
+def _mixed(parts: dict[str, _Hypothesis]) -> tuple[float, float]:
+    """Mean log distance and the spread between hypotheses."""
+    return fuse.mixture([p.weight for p in parts.values()], [p.log_d for p in parts.values()], [0.0] * len(parts))
+
+
+def _solutions(features: Features, model: Model, from_: list[Floats]) -> list[Fit]:
+    """The optimum, and the mirrored one where it is a second answer that the image cannot exclude."""
+    found: list[Fit] = []
+    for x in from_:
+        # Where the heading is known no better than it is large, both solutions are one broad optimum; but a wild
+        # corner may have been explained by a turn of the plate: then the other starts are worth their time.
+        first = found[0] if found else None
+        if first is not None and first.strain < _STRAIN and abs(first.x[YAW]) < 1.5 * first.covariance[YAW, YAW] ** 0.5:
+            break
+        fit = solve(features, model, x)
+        if fit is not None:
+            found.append(fit)
+    found.sort(key=lambda f: f.cost)
+    if len(found) > 1:
+        same = np.abs(found[1].x[:POSE] - found[0].x[:POSE]).max() < 1e-3
+        if same or found[1].cost > found[0].cost + _AMBIGUOUS_COST:
+            found = found[:1]
+    return found
+
+
+def _contradicts(answer: _Answer) -> bool:
+    """Whether the plate is not the one whose sizes were learned: they were pulled far, or its characters called wild."""
     blurred = np.sqrt(answer.known.covariance.diagonal() + answer.bias)
-    return float(np.max(np.abs(answer.fit.x[POSE:] - answer.known.mean) / blurred))
+    pulled = float(np.max(np.abs(answer.fit.x[POSE:] - answer.known.mean) / blurred))
+    return pulled > _MISFIT_SIGMAS or answer.fit.rejected > 0.5
 
 
 def _used_by_fit(answer: _Answer) -> frozenset[str]:

