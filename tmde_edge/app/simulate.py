@@ -11,8 +11,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from tmde_edge.adapters.depth.recorded import write_track
 from tmde_edge.adapters.video_out import VideoWriter
 from tmde_edge.errors import UsageError
+from tmde_edge.simulation.depth import MODEL, DepthTrack
 from tmde_edge.simulation.drive import FrameTruth, VehicleTruth, frame_truth, picture
 from tmde_edge.simulation.scenario import Scenario
 from tmde_edge.simulation.scenarios import build, names
@@ -62,6 +64,11 @@ class Made:
         return self.folder / "truth.csv"
 
     @property
+    def depth_track(self) -> Path:
+        """Simulated relative inverse depth for `depth.kind = "recorded"`."""
+        return self.folder / "depth.npz"
+
+    @property
     def config(self) -> Path:
         """Configuration with the camera's calibration and the CAN signals."""
         return self.folder / "config.toml"
@@ -84,6 +91,7 @@ def simulate(
         raise UsageError(f"{out}: cannot be made a folder ({error.strerror or error}); name another --out") from None
     count = scenario.frame_count if max_frames is None else min(max_frames, scenario.frame_count)
     truth: list[FrameTruth] = []
+    depth = DepthTrack(scenario)
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
@@ -91,12 +99,15 @@ def simulate(
             for frame in range(count):
                 video.write(picture(scenario, frame), round(frame / scenario.rate_hz * 1e9))
                 truth.append(frame_truth(scenario, frame))
+                depth.add(frame)
                 if progress is not None:
                     progress(frame + 1, count)
     finally:
         cv2.setNumThreads(threads)
     (out / "can.log").write_text("".join(can_lines(scenario)), encoding="ascii")
     write_truth(out, scenario, truth)
+    size_px = scenario.camera.width_px, scenario.camera.height_px
+    write_track(out / "depth.npz", depth.t_ns, np.array(depth.grids), size_px, MODEL)
     (out / "config.toml").write_text(config_text(scenario), encoding="utf-8")
     return Made(scenario=scenario, folder=out, frame_count=len(truth), truth=tuple(truth))
 
@@ -131,7 +142,8 @@ def config_text(scenario: Scenario) -> str:
         f"height_px = {c.height_px}", f"rate_hz = {scenario.rate_hz:.1f}", f"fx_px = {c.fx_px:.6f}", f"fy_px = {c.fy_px:.6f}",
         f"cx_px = {c.cx_px:.3f}", f"cy_px = {c.cy_px:.3f}", f"height_m = {c.height_m:.4f}", f"pitch_rad = {c.pitch_rad:.6f}",
         f"roll_rad = {c.roll_rad:.6f}", f"yaw_rad = {c.yaw_rad:.6f}", f"to_bumper_m = {c.to_bumper_m:.4f}", "", "[plates]",
-        "expect = [" + ", ".join(f'"{name}"' for name in scenario.expect) + "]", "", "[can.vehicle]",
+        "expect = [" + ", ".join(f'"{name}"' for name in scenario.expect) + "]", "", "[depth]",
+        '# simulated relative depth: kind = "recorded" plays it', 'path = "depth.npz"', "", "[can.vehicle]",
         f'speed = {{ id = 0x{SPEED_ID:03X}, start_bit = 7, length = 16, byte_order = "big", signed = false, '
         f'scale = {SPEED_SCALE_KPH}, offset = 0.0, unit = "km/h" }}',
         f'yaw_rate = {{ id = 0x{YAW_ID:03X}, start_bit = 7, length = 16, byte_order = "big", signed = true, '

@@ -222,11 +222,11 @@ def visible_share(now: Instant, index: int) -> float:
         seen &= points[:, 1] / points[:, 2] < float((now.ahead.down_m / now.ahead.z_m)[nearer_ground].min())
     for other in now.vehicles:
         if other.z_m < vehicle.z_m - 0.5 and other.z_m > 0.3:
-            seen &= ~_inside(_rear_px(now.view, other), pixels)
+            seen &= ~_inside(rear_px(now.view, other), pixels)
     return float(seen.mean())
 
 
-def _rear_px(view: View, vehicle: VehicleAt) -> Array:
+def rear_px(view: View, vehicle: VehicleAt) -> Array:
     """Projected outline of a vehicle's rear."""
     outline = outline_m(vehicle.body)
     c, s = np.cos(vehicle.yaw_rad), np.sin(vehicle.yaw_rad)

@@ -14,10 +14,10 @@ from tmde_edge.simulation.compose import Image
 
 Array = NDArray[np.float64]
 
-_EDGE_M = 20.0  # the ground textures reach this far to both sides
 _BANDS = ((14.0, 0.02, 0.02), (45.0, 0.05, 0.10), (150.0, 0.15, 0.50), (1e9, 0.4, 2.0))  # up to Z, m per column, per row
 _DIM = {"day": 1.0, "overcast": 0.85, "dusk": 0.45, "night": 0.10}
-_PERIOD_M = (25.6, 102.4, 512.0, 2048.0)
+_PERIOD_M = (19.2, 102.4, 512.0, 2048.0)
+_EDGE_M = (12.0, 20.0, 30.0, 60.0)  # how far each reaches to both sides
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -106,14 +106,14 @@ def paint_ground(image: Image, camera: SimCamera, pitch_rad: float, ahead: RoadA
     textures = _ground_textures(style)
     start = rows.first
     columns = ((np.arange(camera.width_px) - camera.cx_px) / camera.fx_px).astype(np.float32)
-    for (limit, per_col, per_row), period, picture in zip(_BANDS, _PERIOD_M, textures, strict=True):
+    for (limit, per_col, per_row), period, edge, picture in zip(_BANDS, _PERIOD_M, _EDGE_M, textures, strict=True):
         inside = np.flatnonzero((rows.z_m < limit) & (np.arange(len(rows.z_m)) + rows.first < image.shape[0]))
         inside = inside[rows.z_m[inside] >= _lower_limit(limit)]
         if len(inside) == 0:
             continue
         a, b = int(inside[0]), int(inside[-1]) + 1
         lateral = columns[None, :] * rows.t[a:b, None].astype(np.float32) - rows.x_m[a:b, None].astype(np.float32)
-        map_x = (lateral + np.float32(_EDGE_M)) * np.float32(1 / per_col) - np.float32(0.5)
+        map_x = (lateral + np.float32(edge)) * np.float32(1 / per_col) - np.float32(0.5)
         middle = 0.5 * (rows.s_near_m[a:b] + rows.s_far_m[a:b])
         row_at = np.mod(middle, period) / per_row
         map_y = np.repeat(row_at.astype(np.float32)[:, None], camera.width_px, axis=1)
@@ -179,19 +179,20 @@ def _ground_textures(style: RoadStyle) -> tuple[Image, ...]:
     """One BGR picture a distance band: lateral profile of verge, edge and asphalt with patches, tracks and grain."""
     out: list[Image] = []
     for k, ((_, per_col, per_row), period) in enumerate(zip(_BANDS, _PERIOD_M, strict=True)):
+        edge = _EDGE_M[k]
         rng = np.random.default_rng((style.seed, 7, k))
-        cols, rows = round(2 * _EDGE_M / per_col), round(period / per_row)
-        x = -_EDGE_M + (np.arange(cols) + 0.5) * per_col
-        fine = rng.normal(0, 1, (rows, cols)).astype(np.float32)
+        cols, rows = round(2 * edge / per_col), round(period / per_row)
+        x = (-edge + (np.arange(cols) + 0.5) * per_col).astype(np.float32)
+        fine = rng.standard_normal((rows, cols), np.float32)
         coarse = _smooth_noise(rng, rows, cols, max(1.0, 0.8 / per_row), max(1.0, 0.5 / per_col))
         grain = {0: 7.0, 1: 4.0, 2: 1.5, 3: 0.5}[k]
         tracks = -4.0 * np.exp(-(((np.abs(x) - 0.75) / 0.28) ** 2)) + 3.0 * np.exp(-((x / 0.35) ** 2))
         asphalt = style.asphalt + tracks[None, :] + grain * fine + 3.5 * coarse
         road = np.stack([asphalt * 1.0, asphalt * 0.985, asphalt * 0.97], axis=2)
         tuft = _smooth_noise(rng, rows, cols, max(1.0, 0.25 / per_row), max(1.0, 0.15 / per_col))
-        green = np.asarray(style.verge_bgr) * (1.0 + 0.18 * tuft + (0.10 if k < 2 else 0.04) * fine)[..., None]
+        green = np.asarray(style.verge_bgr, np.float32) * (1.0 + 0.18 * tuft + (0.10 if k < 2 else 0.04) * fine)[..., None]
         beyond = np.maximum(x - style.right_m, style.left_m - x)  # metres off the asphalt
-        gravel = np.array([108.0, 116.0, 122.0]) * (1.0 + 0.10 * fine)[..., None]
+        gravel = np.array([108.0, 116.0, 122.0], np.float32) * (1.0 + 0.10 * fine)[..., None]
         soft = np.clip(beyond / 0.08, 0, 1)[None, :, None]
         shoulder = np.clip((beyond - 0.45 + 0.12 * coarse) / 0.25, 0, 1)[..., None]
         picture = road * (1 - soft) + (gravel * (1 - shoulder) + green * shoulder) * soft
@@ -209,7 +210,7 @@ def _ground_textures(style: RoadStyle) -> tuple[Image, ...]:
 def _smooth_noise(
     rng: np.random.Generator, rows: int, cols: int, row_px: float, col_px: float
 ) -> NDArray[np.float32]:
-    small = rng.normal(0, 1, (max(2, round(rows / row_px)), max(2, round(cols / col_px)))).astype(np.float32)
+    small = rng.standard_normal((max(2, round(rows / row_px)), max(2, round(cols / col_px))), np.float32)
     return np.asarray(cv2.resize(small, (cols, rows), interpolation=cv2.INTER_CUBIC), np.float32)
 
 
@@ -241,16 +242,17 @@ def _far_view(style: RoadStyle, f_px: float, width_px: int, height_px: int) -> t
         "day": ((205.0, 160.0, 118.0), (238.0, 226.0, 212.0)), "overcast": ((188.0, 184.0, 180.0), (222.0, 220.0, 216.0)),
         "dusk": ((110.0, 80.0, 66.0), (150.0, 160.0, 206.0)), "night": ((20.0, 15.0, 13.0), (36.0, 30.0, 28.0)),
     }
-    high, low = (np.array(t) for t in tones[style.sky])
-    t = np.clip((above - np.arange(rows)) / (0.55 * above), 0, 1)[:, None, None] ** 0.8
-    sky = low * (1 - t) + high * t + np.zeros((rows, cols, 3))
+    high, low = (np.array(t, np.float32) for t in tones[style.sky])
+    small = (rows // 4, cols // 4)  # a sky has no fine detail
+    t = (np.clip((above - 4.0 * np.arange(small[0])) / (0.55 * above), 0, 1)[:, None, None] ** 0.8).astype(np.float32)
     cloud = sum(
-        w * _smooth_noise(rng, rows, cols, a, b) for w, a, b in ((1.0, 90.0, 260.0), (0.6, 40.0, 110.0), (0.3, 16.0, 45.0))
+        w * _smooth_noise(rng, *small, a, b) for w, a, b in ((1.0, 22.0, 65.0), (0.6, 10.0, 27.0), (0.3, 4.0, 11.0))
     )
     amount = {"day": 0.55, "overcast": 0.18, "dusk": 0.3, "night": 0.05}[style.sky]
-    veil = np.clip(np.asarray(cloud) - 0.35, 0, 1.6)[..., None] * amount / 1.6
-    sky = sky * (1 - veil) + (low * 1.02) * veil
-    picture = np.clip(sky, 0, 255).astype(np.uint8)
+    veil = (np.clip(np.asarray(cloud) - 0.35, 0, 1.6)[..., None] * amount / 1.6).astype(np.float32)
+    sky = (low * (1 - t) + high * t) * (1 - veil) + (low * 1.02) * veil
+    coarse = np.clip(sky, 0, 255).astype(np.uint8)
+    picture = np.asarray(cv2.resize(coarse, (cols, rows), interpolation=cv2.INTER_LINEAR), np.uint8)
     _skyline(picture, above, style, f_px, rng)
     picture[above:] = np.clip(np.asarray(style.verge_bgr) * 1.05 * _DIM[style.sky], 0, 255).astype(np.uint8)
     return np.asarray(cv2.GaussianBlur(picture, (0, 0), 0.7), np.uint8), float(above)

@@ -129,6 +129,51 @@ def hidden(look: Look) -> Scenario:
     )
 
 
+def _gap(look: Look, name: str, ego: Motion, lead: Motion, gap: tuple[float, float], road: Road | None = None) -> Scenario:
+    """A drive in which the plate is covered for a while; nothing to warn of."""
+    actor = Actor(
+        name="lead", motion=lead, body=look.body(), face=look.face(),
+        hidden=((gap[0] - 0.05, 0.0), (gap[0], 1.0), (gap[1], 1.0), (gap[1] + 0.05, 0.0)),
+    )
+    return base(look, name, duration_s=gap[1] + 2.0, ego=ego, actors=(actor,), road=road or Road(), expectation=QUIET)
+
+
+@scenario("gap-steady", "following, the plate covered for 1 s")
+def gap_steady(look: Look) -> Scenario:
+    v = look.near(11.0, 0.05)
+    return _gap(look, "gap-steady", Motion(start_m=0.0, speed_mps=v), Motion(start_m=14.0, speed_mps=v), (4.0, 5.0))
+
+
+@scenario("gap-braking", "the lead brakes gently while its plate is covered for 1.5 s")
+def gap_braking(look: Look) -> Scenario:
+    v = look.near(11.0, 0.05)
+    lead = Motion(start_m=20.0, speed_mps=v, accels=((4.2, -1.2), (5.4, 0.0)))
+    ego = Motion(start_m=0.0, speed_mps=v, accels=((5.0, -1.4), (6.4, 0.0)))
+    return _gap(look, "gap-braking", ego, lead, (4.0, 5.5))
+
+
+@scenario("gap-away", "the lead pulls away while its plate is covered for 1.5 s")
+def gap_away(look: Look) -> Scenario:
+    v = look.near(9.0, 0.05)
+    lead = Motion(start_m=11.0, speed_mps=v, accels=((4.1, 1.6), (6.0, 0.0)))
+    return _gap(look, "gap-away", Motion(start_m=0.0, speed_mps=v), lead, (4.0, 5.5))
+
+
+@scenario("gap-closing", "we close in slowly while the plate is covered for 2 s")
+def gap_closing(look: Look) -> Scenario:
+    v = look.near(10.0, 0.05)
+    lead = Motion(start_m=22.0, speed_mps=v - 1.0, accels=((4.3, -0.7), (5.3, 0.7), (6.3, 0.0)))
+    return _gap(look, "gap-closing", Motion(start_m=0.0, speed_mps=v, accels=((6.0, -1.0), (7.5, 0.0))), lead, (4.0, 6.0))
+
+
+@scenario("gap-curve", "following through a bend, the plate covered for 1.5 s")
+def gap_curve(look: Look) -> Scenario:
+    v = look.near(10.0, 0.05)
+    road = Road(curvature=((20.0, 0.0), (45.0, 1 / 140), (110.0, 1 / 140)))
+    lead = Motion(start_m=15.0, speed_mps=v, accels=((4.2, -0.9), (5.2, 0.9), (6.2, 0.0)))
+    return _gap(look, "gap-curve", Motion(start_m=0.0, speed_mps=v), lead, (4.0, 5.5), road)
+
+
 @scenario("no-plate", "following a lead without a plate")
 def no_plate(look: Look) -> Scenario:
     speed = look.near(12.0, 0.05)

@@ -184,7 +184,7 @@ def _paint_card(image: Image, view: View, item: CardAt, light: Light) -> None:
     region = region_round(image, corners, 1)
     if region is None:
         return
-    region.quad(picture, corners, gain=min(light.ambient + _beam(z, light), 1.0))
+    region.quad(picture, corners, gain=min(light.ambient + _beam(z, light) * float(np.exp(-((x / (0.4 * z)) ** 2))), 1.0))
     region.done()
 
 

@@ -64,7 +64,8 @@ def standard_face(name: str, text: str | None = None, *, seed: int | None = None
     rows = _rows(standard, text)
     border = _size(standard.border, rng, 0.0 if standard.country.startswith("US") else 3.0)
     inset = _size(standard.border_inset, rng, 2.0 if border else 0.0)
-    classes = {key: _Glyphs.of(glyph, rng) for key, glyph in standard.glyphs.items()}
+    usual = 0.6 * _size(standard.plate_height, None, 120.0) / len(rows)
+    classes = {key: _Glyphs.of(glyph, rng, usual) for key, glyph in standard.glyphs.items()}
     tallest = [max(classes[key].height for _, key in row if key != " ") for row in rows]
     longest = max(sum(1.15 * classes[k].width(c) if k != " " else 20.0 for c, k in row) for row in rows)
     width = _size(standard.plate_width, rng, longest + 30.0)
@@ -118,8 +119,8 @@ class _Glyphs:
     gap: float
 
     @classmethod
-    def of(cls, glyph: GlyphClass, rng: np.random.Generator | None) -> _Glyphs:
-        height = _size(glyph.height, rng, 70.0)
+    def of(cls, glyph: GlyphClass, rng: np.random.Generator | None, usual_height: float) -> _Glyphs:
+        height = _size(glyph.height, rng, usual_height)
         letter = _size(glyph.letter_width, rng, _WIDTH_PER_HEIGHT * height)
         gap = _size(glyph.gap, rng, _GAP_PER_HEIGHT * height)
         if glyph.pitch is not None and glyph.gap is None:

@@ -132,6 +132,26 @@ def render_still(
     )
 
 
+def calibration_captures(
+    distances_m: tuple[float, ...] = (2.0, 5.0, 10.0), *, standard: str = "de-mittel", camera: SimCamera | None = None,
+    tilt_rad: float = 0.17, reference_offset_m: float = 0.0, seed: int = 0, sensor: Sensor | None = None,
+) -> list[Still]:
+    """Plates at stated distances from a hand-held or parked setup: turned, tilted and rolled by up to tilt_rad each.
+
+    reference_offset_m: the tape began that far in front of the lens, so every stated distance is short by it.
+    """
+    rng = np.random.default_rng((seed, 53))
+    out: list[Still] = []
+    for k, distance_m in enumerate(distances_m):
+        yaw, tilt, roll = (float(v) for v in rng.uniform(-tilt_rad, tilt_rad, 3))
+        reach = 0.15 * distance_m
+        out.append(render_still(
+            standard, distance_m=distance_m + reference_offset_m, yaw_rad=yaw, tilt_rad=tilt, roll_rad=0.3 * roll,
+            lateral_m=float(rng.uniform(-reach, reach)), camera=camera, seed=seed * 101 + k, sensor=sensor,
+        ))
+    return out
+
+
 def street(rng: np.random.Generator, camera: SimCamera, style: RoadStyle) -> list[CardAt]:
     """Trees, houses, lamps and a sign along a straight road."""
     cards: list[CardAt] = []

@@ -1,0 +1,75 @@
+"""`simulate --all --check`: scenarios rendered, run on the desk, and judged against what was expected of them."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from tmde_edge import config
+from tmde_edge.app.desk import DeskOptions, run_desk
+from tmde_edge.app.records import Record
+from tmde_edge.app.simulate import Made, Progress, list_scenarios, simulate
+from tmde_edge.errors import InputMissingError
+from tmde_edge.simulation.check import check
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outcome:
+    """One scenario with one seed: what is wrong with it, and what happened."""
+
+    name: str
+    seed: int
+    faults: tuple[str, ...]
+    skipped: str = ""  # why it could not be run here
+    first_warning_s: float | None = None
+    first_warning_ttc_s: float | None = None  # true TTC then, the lead's braking counted
+    median_error: float | None = None  # of the lead's distance, relative, all frames that report one
+
+
+def check_scenarios(
+    folder: Path, *, names: Sequence[str] = (), seeds: Sequence[int] = (0,), overrides: Sequence[str] = (),
+    keep: bool = False, progress: Progress | None = None,
+) -> Iterator[Outcome]:
+    """Renders into folder/NAME-SEED and judges, one by one; names empty: all. Without keep only what failed stays."""
+    for name in names or [name for name, _ in list_scenarios()]:
+        for seed in seeds:
+            place = folder / f"{name}-{seed}"
+            try:
+                made = simulate(name, place, seed=seed, progress=progress)
+            except InputMissingError as error:
+                yield Outcome(name=name, seed=seed, faults=(), skipped=str(error))
+                continue
+            outcome = judge(made, list(desk_records(made, overrides)))
+            if not keep and not outcome.faults:
+                shutil.rmtree(place)
+            yield outcome
+
+
+def desk_records(made: Made, overrides: Sequence[str] = ()) -> Iterator[Record]:
+    """The records of a dry run of what `simulate` made."""
+    loaded = config.load(made.config, overrides)
+    desk = run_desk(loaded, made.folder, DeskOptions(source=str(made.video), can_log=made.can_log))
+    yield from desk
+    desk.finish()
+
+
+def judge(made: Made, records: Sequence[Record]) -> Outcome:
+    """Faults of the records, and when the first warning came."""
+    scenario = made.scenario
+    faults = check(records, made.truth, scenario.expectation)
+    pairs = list(zip(records, made.truth, strict=False))
+    first = next((t for r, t in pairs if "error" not in r and r["alert"]["level"] == "warning"), None)
+    errors = [
+        abs(r["lead"]["distance_m"] / t.lead.distance_m - 1.0) for r, t in pairs
+        if "error" not in r and t.lead is not None and r["lead"] is not None and r["lead"]["distance_m"] is not None
+    ]
+    return Outcome(
+        name=scenario.name, seed=scenario.seed, faults=tuple(faults),
+        first_warning_s=None if first is None else first.t_s,
+        first_warning_ttc_s=None if first is None or first.lead is None else first.lead.ttc_braking_s,
+        median_error=float(np.median(errors)) if errors else None,
+    )
