@@ -12,7 +12,7 @@ from fonts import font_files
 from scenes import MAX_GLYPHS, Sample, World, any_sample
 
 PHOTOS = ("/usr/share/wallpapers/**/*.jpg", "/usr/share/wallpapers/**/*.png", "/usr/share/backgrounds/**/*.jpg", "/usr/share/backgrounds/**/*.png")
-SHARD = 2000
+SHARD = 500
 
 
 def load_world(frames_dir: Path | None, holdout: Path, held_out: bool, photos_share: slice = slice(None)) -> World:

@@ -35,10 +35,9 @@ class Block(nn.Module):
 class GlyphNet(nn.Module):
     """forward(x (n, 1, 64, 192)) -> glyph map (n, 6, 16, 96), corners (n, 4, 2) canvas px, (n, 6): 4 log sigmas, plate, light-on-dark."""
 
-    def __init__(self, c4: int = 24, c8: int = 40, c16: int = 64, c2: int = 12) -> None:
+    def __init__(self, c4: int = 24, c8: int = 40, c16: int = 64, c2: int = 16) -> None:
         super().__init__()
         self.stem = cbr(1, c2, 5, 2)
-        self.s2 = nn.Sequential(cbr(c2, c2, 3, groups=c2), cbr(c2, c2, 1))
         self.down4 = cbr(c2, c4, 3, 2)
         self.s4 = Block(c4)
         self.down8 = nn.Sequential(cbr(c4, c4, 3, 2, groups=c4), cbr(c4, c8, 1))
@@ -62,14 +61,14 @@ class GlyphNet(nn.Module):
 
     def forward(self, x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         n = x.shape[0]
-        f4 = self.s4(self.down4(self.s2(self.stem(x))))
+        f4 = self.s4(self.down4(self.stem(x)))
         f8 = self.s8(self.down8(f4))
         f16 = self.s16(self.down16(f8))
         m8 = self.m8(torch.relu(f8 + self.upsample(self.up8(f16))))
         m4 = self.m4(torch.relu(f4 + self.upsample(self.up4(m8))))
         g = self.glyph(m4)  # (n, 6 * 2, 16, 48): channel pairs are the even and odd columns
         g = g.reshape(n, GLYPH_CHANNELS, 2, ROWS, W // 4).permute(0, 1, 3, 4, 2).reshape(n, GLYPH_CHANNELS, ROWS, COLS)
-        p = torch.softmax(self.corner(m4).reshape(n, 4, ROWS * CORNER_COLS), dim=2)
-        corners = torch.matmul(p, self.grid)
+        p = torch.softmax(self.corner(m4).float().reshape(n, 4, ROWS * CORNER_COLS), dim=2)
+        corners = torch.stack([(p * self.grid[:, 0]).sum(dim=2), (p * self.grid[:, 1]).sum(dim=2)], dim=2)
         pooled = torch.cat([f16.mean(dim=(2, 3)), m4.mean(dim=(2, 3))], dim=1)
         return g, corners, self.judge(pooled)

@@ -1,4 +1,4 @@
-"""Trains GlyphNet on shards. usage: train.py SHARDS --out FOLDER [--minutes 45] [--seed 1]; goes on where it stopped."""
+"""Trains GlyphNet on shards. usage: train.py SHARDS --out FOLDER [--steps 4000] [--seed 1]; goes on where it stopped."""
 
 from __future__ import annotations
 
@@ -16,10 +16,14 @@ from targets import jitter, losses
 from tmde_edge.vision.segment.glyph_crop import normalise
 
 
-def load(file: Path) -> dict[str, np.ndarray]:
-    """One shard's arrays."""
-    with np.load(file) as z:
-        return {k: z[k] for k in ("canvas", "plate", "corners", "glyphs", "light")}
+def load(files: list[Path]) -> dict[str, np.ndarray]:
+    """Some shards' arrays together."""
+    parts: dict[str, list[np.ndarray]] = {k: [] for k in ("canvas", "plate", "corners", "glyphs", "light")}
+    for file in files:
+        with np.load(file) as z:
+            for k, values in parts.items():
+                values.append(z[k])
+    return {k: np.concatenate(v) for k, v in parts.items()}
 
 
 def mirror_parts(data: dict[str, np.ndarray]) -> dict[str, torch.Tensor]:
@@ -28,14 +32,14 @@ def mirror_parts(data: dict[str, np.ndarray]) -> dict[str, torch.Tensor]:
 
 
 def main() -> None:
-    """Cosine schedule over the given minutes of training time; a checkpoint after every shard."""
+    """Constant rate, then down to nothing over the last 40 % of the steps; a checkpoint every few shards."""
     p = argparse.ArgumentParser()
     p.add_argument("shards", type=Path)
     p.add_argument("--out", type=Path, required=True)
-    p.add_argument("--minutes", type=float, default=45)
+    p.add_argument("--steps", type=int, default=4000)
     p.add_argument("--seed", type=int, default=1)
     p.add_argument("--batch", type=int, default=64)
-    p.add_argument("--rate", type=float, default=4e-3)
+    p.add_argument("--rate", type=float, default=3e-3)
     p.add_argument("--start", type=Path, help="weights to start from")
     a = p.parse_args()
     torch.set_num_threads(1)
@@ -53,16 +57,15 @@ def main() -> None:
         net.load_state_dict(saved["net"])
         opt.load_state_dict(saved["opt"])
         ema, state = saved["ema"], saved["state"]
-    while state["seconds"] < a.minutes * 60:
+    while state["step"] < a.steps:
         files = sorted(f for f in a.shards.glob("shard_*.npz") if ".tmp" not in f.name)
         if not files:
             time.sleep(5)
             continue
         rng = np.random.default_rng([a.seed, state["pass"]])
         state["pass"] += 1
-        # new shards arrive while training: draw one, the newest more often
-        pick = files[int(rng.integers(len(files)))] if state["pass"] > 2 * len(files) or rng.random() < 0.5 else files[state["pass"] % len(files)]
-        data = load(pick)
+        # new shards may arrive while training
+        data = load([files[int(k)] for k in rng.permutation(len(files))[:4]])
         began = time.monotonic()
         net.train()
         sums: dict[str, float] = {}
@@ -70,14 +73,16 @@ def main() -> None:
         rest = mirror_parts(data)
         steps = len(order) // a.batch
         for k in range(steps):
-            now = (state["seconds"] + time.monotonic() - began) / (a.minutes * 60)
-            rate = a.rate * min(1.0, (state["step"] + 1) / 200) * (0.02 + 0.98 * 0.5 * (1 + math.cos(math.pi * min(now, 1.0))))
+            cool = min(1.0, max(0.0, (state["step"] / a.steps - 0.6) / 0.4))
+            rate = a.rate * min(1.0, (state["step"] + 1) / 200) * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * cool)))
             for group in opt.param_groups:
                 group["lr"] = rate
             index = order[k * a.batch : (k + 1) * a.batch]
             x = torch.from_numpy(normalise(jitter(data["canvas"][index], rng))).to(memory_format=torch.channels_last)
             batch = {key: value[torch.from_numpy(index)] for key, value in rest.items()}
-            parts = losses(net(x), batch)
+            with torch.autocast("cpu", dtype=torch.bfloat16):
+                glyph, corners, judge = net(x)
+            parts = losses((glyph.float(), corners.float(), judge.float()), batch)
             loss = sum(parts.values())
             opt.zero_grad()
             loss.backward()
@@ -92,7 +97,7 @@ def main() -> None:
                     else:
                         ema[key].copy_(value)
             for key, value in parts.items():
-                sums[key] = sums.get(key, 0.0) + float(value)
+                sums[key] = sums.get(key, 0.0) + float(value.detach())
         state["seconds"] += time.monotonic() - began
         torch.save({"net": net.state_dict(), "opt": opt.state_dict(), "ema": ema, "state": state}, last)
         print(json.dumps({"pass": state["pass"], "min": round(state["seconds"] / 60, 2), "sps": round(steps * a.batch / (time.monotonic() - began)), "shards": len(files),
