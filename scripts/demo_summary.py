@@ -30,7 +30,8 @@ def main() -> int:
     if not errors:
         print("no distance was measured")
         return 1
-    print(f"distance, all {len(errors)} frames with a lead: |error| median {statistics.median(errors):.2%}, max {max(errors):.2%}")
+    text = f"|error| median {statistics.median(errors):.2%}, max {max(errors):.2%}"
+    print(f"distance, all {len(errors)} frames with a lead: {text}")
     if near:
         text = f"|error| median {statistics.median(near):.2%}, max {max(near):.2%}"
         print(f"distance, plate at least {MIN_PLATE_PX:.0f} px wide ({len(near)} frames): {text} (bar: median {BAR:.0%})")

@@ -1,0 +1,337 @@
+"""The live loop: order, silence, overload, signs of life, and an end within a second."""
+
+from __future__ import annotations
+
+import itertools
+import socket
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from tmde_edge.adapters.cameras.disabled import DisabledCamera
+from tmde_edge.adapters.cameras.live_camera import Captured
+from tmde_edge.adapters.cameras.played_file import PlayedFile
+from tmde_edge.app import background_log, live
+from tmde_edge.app.background_log import BackgroundLog
+from tmde_edge.app.live import LiveLoop
+from tmde_edge.app.sdnotify import Notifier
+from tmde_edge.messages import CanFrame, Event, Frame, FrameResult, Output, Sighting, Tick
+
+FRAMES = 12
+RATE_HZ = 40.0
+
+
+class Bus:
+    """A CAN port that keeps what is sent."""
+
+    faults: tuple[str, ...] = ()
+
+    def __init__(self) -> None:
+        self.sent: list[CanFrame] = []
+        self.started = self.closed = False
+
+    def start(self) -> None:
+        self.started = True
+
+    def send(self, frame: CanFrame) -> None:
+        self.sent.append(frame)
+
+    def close(self) -> None:
+        self.closed = True
+
+
+class Echo:
+    """An estimation that notes its events and answers each sighting with one CAN frame."""
+
+    def __init__(self) -> None:
+        self.events: list[Event] = []
+
+    def step(self, event: Event) -> tuple[Output, ...]:
+        self.events.append(event)
+        if isinstance(event, Sighting):
+            return (CanFrame(t_ns=event.t_ns, can_id=0x700, data=bytes([event.frame_index])),)
+        return ()
+
+    def of(self, kind: type[Any]) -> list[Any]:
+        return [event for event in self.events if isinstance(event, kind)]
+
+
+def see(frame: Frame) -> Sighting:
+    return Sighting(t_ns=frame.t_ns, frame_index=frame.index, width_px=8, height_px=8, status="no_plate")
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    for i in range(FRAMES):
+        cv2.imwrite(str(folder / f"{i:02d}.png"), np.full((8, 8), 10 * i, np.uint8))
+    return folder
+
+
+def play(folder: Path, *, loop: bool = False) -> PlayedFile:
+    return PlayedFile(str(folder), fps=RATE_HZ, loop=loop)
+
+
+def test_a_recording_is_decided_frame_by_frame_and_the_service_ends_with_it(recording: Path) -> None:
+    estimation, bus = Echo(), Bus()
+    start_ns = time.monotonic_ns()
+    LiveLoop(play(recording), see, estimation).run(bus)
+    sightings = estimation.of(Sighting)
+    assert sightings[-1].t_ns - start_ns == pytest.approx((FRAMES - 1) / RATE_HZ * 1e9, abs=0.2e9)
+    assert [s.frame_index for s in sightings] == list(range(len(sightings)))
+    assert [frame.data[0] for frame in bus.sent] == [s.frame_index for s in sightings]
+    assert bus.started
+    assert bus.closed
+
+
+def test_slow_eyes_get_the_newest_frame_and_the_rest_is_counted(recording: Path) -> None:
+    ages_ns: list[int] = []
+
+    def slow(frame: Frame) -> Sighting:
+        ages_ns.append(time.monotonic_ns() - frame.t_ns)
+        time.sleep(0.08)
+        return see(frame)
+
+    loop = LiveLoop(play(recording), slow, Echo())
+    loop.run(Bus())
+    assert loop.counters.skipped + loop.counters.sightings == FRAMES
+    assert loop.counters.skipped >= 4
+    assert np.median(ages_ns) < 0.25e9  # one after the other they would wait for 0.35 s
+
+
+def stopped_after(loop: LiveLoop, seconds: float, bus: Bus | None = None) -> float:
+    """Runs a loop, stops it after a while; returns how long the stop took."""
+    stopped_at: list[float] = []
+
+    def stop() -> None:
+        stopped_at.append(time.monotonic())
+        loop.stop()
+
+    timer = threading.Timer(seconds, stop)
+    timer.start()
+    try:
+        loop.run(bus or Bus())
+    finally:
+        timer.cancel()
+    return time.monotonic() - stopped_at[0]
+
+
+def test_without_a_camera_time_still_passes_and_the_stop_is_quick() -> None:
+    estimation = Echo()
+    took_s = stopped_after(LiveLoop(DisabledCamera(), see, estimation, tick_hz=20), 0.6)
+    ticks = estimation.of(Tick)
+    assert took_s < 1.0
+    assert 4 <= len(ticks) <= 14
+    assert {tick.faults for tick in ticks} == {("camera_lost",)}
+    assert all(b.t_ns > a.t_ns for a, b in itertools.pairwise(ticks))
+
+
+def test_can_frames_and_sightings_are_decided_on_one_thread_in_order(recording: Path) -> None:
+    threads: set[int] = set()
+
+    class Watching(Echo):
+        def step(self, event: Event) -> tuple[Output, ...]:
+            threads.add(threading.get_ident())
+            return super().step(event)
+
+    estimation = Watching()
+    loop = LiveLoop(play(recording), see, estimation)
+    stop = threading.Event()
+
+    def receive() -> None:
+        number = 0
+        while not stop.wait(0.005):
+            loop.on_can(CanFrame(t_ns=time.monotonic_ns(), can_id=1, data=number.to_bytes(2, "big")))
+            number += 1
+
+    receiver = threading.Thread(target=receive)
+    receiver.start()
+    try:
+        loop.run(Bus())
+    finally:
+        stop.set()
+        receiver.join()
+    numbers = [int.from_bytes(frame.data, "big") for frame in estimation.of(CanFrame)]
+    assert len(numbers) > 10
+    assert numbers == list(range(len(numbers)))
+    assert threads == {threading.get_ident()}
+
+
+def test_an_unknown_error_of_a_thread_stops_the_service(recording: Path) -> None:
+    def broken(frame: Frame) -> Sighting:
+        raise ZeroDivisionError("in the eyes")
+
+    bus = Bus()
+    with pytest.raises(ZeroDivisionError, match="in the eyes"):
+        LiveLoop(play(recording, loop=True), broken, Echo()).run(bus)
+    assert bus.closed
+
+
+def test_a_flood_is_bounded_and_told(recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live, "INBOX_EVENTS", 50)
+    estimation = Echo()
+    loop = LiveLoop(play(recording), see, estimation)
+    for number in range(200):
+        loop.on_can(CanFrame(t_ns=number, can_id=1, data=b""))
+    loop.run(Bus())
+    assert loop.counters.inbox_dropped >= 150
+    assert any("overload" in tick.faults for tick in estimation.of(Tick))
+    assert estimation.of(Sighting)
+
+
+def test_faults_of_the_bus_reach_the_estimation(recording: Path) -> None:
+    bus, estimation = Bus(), Echo()
+    bus.faults = ("can_tx",)
+    LiveLoop(play(recording), see, estimation).run(bus)
+    assert estimation.of(Tick)[-1].faults == ("can_tx",)
+
+
+class Systemd:
+    """The other end of the notification socket, with a watchdog of 0.2 s."""
+
+    def __init__(self, folder: Path) -> None:
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._socket.bind(str(folder / "notify"))
+        self.lines: list[str] = []
+        self.notifier = Notifier({"NOTIFY_SOCKET": str(folder / "notify"), "WATCHDOG_USEC": "200000"})
+        threading.Thread(target=self._receive, daemon=True).start()
+
+    def _receive(self) -> None:  # the kernel keeps only some ten datagrams
+        while True:
+            self.lines.append(self._socket.recv(1000).decode())
+
+    def until(self, line: str) -> list[str]:
+        """What was heard up to that line."""
+        deadline = time.monotonic() + 5
+        while line not in self.lines and time.monotonic() < deadline:
+            time.sleep(0.01)
+        return self.lines[: self.lines.index(line) + 1]
+
+
+def test_systemd_hears_ready_signs_of_life_status_and_the_end(recording: Path, tmp_path: Path) -> None:
+    systemd = Systemd(tmp_path)
+    LiveLoop(play(recording), see, Echo(), notifier=systemd.notifier).run(Bus())
+    lines = systemd.until("STOPPING=1")
+    assert lines[:2] == ["STATUS=running; waiting for the camera", "READY=1"]
+    assert 1 <= lines.count("WATCHDOG=1") <= 8  # 0.3 s of frames, fed each 0.05 s at most
+
+
+def test_the_watchdog_is_fed_while_the_camera_is_known_to_be_dead(tmp_path: Path) -> None:
+    systemd = Systemd(tmp_path)
+    stopped_after(LiveLoop(DisabledCamera(), see, Echo(), notifier=systemd.notifier), 0.5)
+    assert systemd.until("STOPPING=1").count("WATCHDOG=1") >= 3
+
+
+def test_the_watchdog_starves_when_the_eyes_hang_although_ticks_go_on(recording: Path, tmp_path: Path) -> None:
+    systemd = Systemd(tmp_path)
+    hang = threading.Event()
+
+    def hanging(frame: Frame) -> Sighting:
+        if frame.index >= 3:
+            hang.wait(5)
+        return see(frame)
+
+    estimation = Echo()
+    loop = LiveLoop(play(recording, loop=True), hanging, estimation, notifier=systemd.notifier)
+    threading.Timer(0.5, systemd.lines.clear).start()  # what came before is not of interest
+    threading.Timer(1.1, hang.set).start()
+    threading.Timer(1.0, loop.stop).start()
+    loop.run(Bus())
+    assert "WATCHDOG=1" not in systemd.until("STOPPING=1")
+    assert len(estimation.of(Tick)) > 6
+
+
+def test_frames_that_cannot_be_decoded_never_reach_the_eyes() -> None:
+    class Garbled:
+        name = "garbled"
+        ended = False
+        count = 0
+
+        def open(self) -> None:
+            pass
+
+        def read(self, timeout_s: float) -> Captured:
+            time.sleep(0.01)
+            self.count += 1
+            good = self.count % 2 == 0
+            return Captured(
+                t_ns=time.monotonic_ns(), index=self.count, decode=lambda: np.zeros((2, 2), np.uint8) if good else None
+            )
+
+        def close(self) -> None:
+            pass
+
+    estimation = Echo()
+    loop = LiveLoop(Garbled(), see, estimation)
+    stopped_after(loop, 0.4)
+    assert loop.camera.counters.garbled >= 3
+    assert len(estimation.of(Sighting)) >= 3
+    assert loop.camera.fault is None
+
+
+class Writer:
+    """A drive log that keeps, blocks or fails."""
+
+    def __init__(self, act: Callable[[], None] = lambda: None) -> None:
+        self.steps: list[tuple[Event, tuple[Output, ...], Frame | None]] = []
+        self.act = act
+        self.closed = False
+
+    def write(self, event: Event, outputs: tuple[Output, ...], frame: Frame | None = None) -> None:
+        self.act()
+        self.steps.append((event, outputs, frame))
+
+    def close(self) -> None:
+        self.closed = True
+
+
+@pytest.mark.parametrize("keep_frames", [False, True])
+def test_every_step_is_recorded_in_order(recording: Path, keep_frames: bool) -> None:
+    estimation, writer = Echo(), Writer()
+    LiveLoop(play(recording), see, estimation, log=BackgroundLog(writer, keep_frames=keep_frames)).run(Bus())
+    assert [event for event, _, _ in writer.steps] == estimation.events
+    assert any(frame is not None for _, _, frame in writer.steps) == keep_frames
+    assert writer.closed
+
+
+def test_a_full_disk_ends_the_recording_and_nothing_else(recording: Path) -> None:
+    def full() -> None:
+        raise OSError(28, "No space left on device")
+
+    estimation = Echo()
+    log = BackgroundLog(Writer(full))
+    loop = LiveLoop(play(recording), see, estimation, log=log)
+    loop.run(Bus())
+    assert log.failed
+    assert loop.counters.sightings >= FRAMES - 2
+    assert "record" in estimation.of(Tick)[-1].faults
+
+
+def test_a_disk_that_hangs_delays_no_decision(recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(background_log, "_STEPS", 5)
+    release = threading.Event()
+    log = BackgroundLog(Writer(lambda: release.wait(5) and None))
+    start = time.monotonic()
+    threading.Timer(0.8, release.set).start()
+    loop = LiveLoop(play(recording), see, Echo(), log=log)
+    loop.run(Bus())
+    assert loop.counters.sightings >= FRAMES - 2
+    assert log.failed  # a log with a gap could not be replayed
+    assert time.monotonic() - start < 3
+
+
+def test_status_in_words(recording: Path) -> None:
+    results: list[FrameResult] = []
+    loop = LiveLoop(play(recording), see, Echo(), on_result=results.append)
+    loop.run(Bus())
+    text = loop.status_text(time.monotonic_ns())
+    rate = float(text.split(" frames/s")[0])
+    assert RATE_HZ / 2 < rate < RATE_HZ * 1.3
+    assert text.endswith("no faults")

@@ -1,0 +1,294 @@
+"""The service's loop: cameras and CAN deliver on their threads, one thread decides, in the order of one queue.
+
+    capture --newest frame--> perception --Sighting--+
+    CAN receiving ------------------------CanFrame---+--> inbox --> estimation.step --> CAN sending, drive log, status
+    silence ---------------------------------Tick----+
+"""
+
+from __future__ import annotations
+
+import logging
+import queue
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol, TypeAlias
+
+from tmde_edge.adapters.cameras.live_camera import Captured, LiveCamera, WatchedCamera
+from tmde_edge.app.background_log import BackgroundLog
+from tmde_edge.app.sdnotify import Notifier
+from tmde_edge.messages import CanFrame, DepthReading, Event, Frame, FrameResult, Output, Sighting, Tick
+
+_log = logging.getLogger(__name__)
+INBOX_EVENTS = 4000  # at 5,000 CAN frames a second still most of a second
+OVERLOAD_HOLD_NS = 2_000_000_000  # "overload" stays in force this long after its cause
+LATE_NS = 500_000_000  # a sighting that waited longer for its decision is a sign of overload
+STATUS_PERIOD_NS = 1_000_000_000
+JOIN_S = 2.0
+
+
+class Decider(Protocol):
+    """The estimation."""
+
+    def step(self, event: Event) -> tuple[Output, ...]:
+        """Takes one event and returns what follows from it."""
+        ...
+
+
+class BusPort(Protocol):
+    """The CAN bus as the loop uses it."""
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """What is wrong with it."""
+        ...
+
+    def start(self) -> None:
+        """Begins receiving and sending on its own threads."""
+        ...
+
+    def send(self, frame: CanFrame) -> None:
+        """Queues a frame; never blocks."""
+        ...
+
+    def close(self) -> None:
+        """Stops its threads."""
+        ...
+
+
+@dataclass(slots=True)
+class LiveCounters:
+    """What happened since the start."""
+
+    sightings: int = 0
+    can_frames: int = 0
+    ticks: int = 0
+    skipped: int = 0  # frames that a newer one replaced before they were looked at
+    inbox_dropped: int = 0
+
+
+_Item: TypeAlias = "tuple[Event, Frame | None]"
+
+
+class LiveLoop:
+    """Construct, give `on_can` and `crash` to the CAN port, then `run` on the main thread; `stop` from anywhere."""
+
+    def __init__(
+        self,
+        camera: LiveCamera,
+        see: Callable[[Frame], Sighting],
+        estimation: Decider,
+        *,
+        notifier: Notifier | None = None,
+        log: BackgroundLog | None = None,
+        on_result: Callable[[FrameResult], None] | None = None,
+        on_frame: Callable[[Frame], None] | None = None,
+        tick_hz: float = 20.0,
+        monotonic_ns: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        """`see` runs on the perception thread; `on_frame` (depth, a live page) too; `on_result` on the deciding one."""
+        self._stopping = threading.Event()
+        self.camera = WatchedCamera(camera, pause=self._stopping.wait)
+        self._see = see
+        self._estimation = estimation
+        self._notifier = notifier or Notifier({})
+        self._log_to = log
+        self._on_result = on_result
+        self._on_frame = on_frame
+        self._tick_ns = round(1e9 / tick_hz)
+        self._now_ns = monotonic_ns
+        self.counters = LiveCounters()
+        self._inbox: queue.Queue[_Item] = queue.Queue(INBOX_EVENTS)
+        self._newest: Captured | None = None
+        self._fresh = threading.Condition()
+        self._seen_all = threading.Event()  # the recording is over and its last frame was looked at
+        self._error: BaseException | None = None
+        self._overload_ns: int | None = None
+        self._fed_ns = self._status_ns = 0
+        self._recent: deque[int] = deque(maxlen=60)  # times of decided sightings
+        self._last: FrameResult | None = None
+        self._bus: BusPort | None = None
+
+    # -- from other threads -------------------------------------------------------------------------------------------
+
+    def stop(self) -> None:
+        """Ends `run` soon; safe in a signal handler."""
+        self._stopping.set()
+
+    def crash(self, error: BaseException) -> None:
+        """A thread died of an unknown error: the service stops, `run` raises it."""
+        if self._error is None:
+            self._error = error
+        self._stopping.set()
+
+    def on_can(self, frame: CanFrame) -> None:
+        """Takes a received CAN frame."""
+        self._put(frame)
+
+    def on_depth(self, reading: DepthReading) -> None:
+        """Takes a depth reading."""
+        self._put(reading)
+
+    # -- the deciding thread ------------------------------------------------------------------------------------------
+
+    def run(self, bus: BusPort) -> None:
+        """Decides until `stop`, or until a played recording is over. Raises what a thread died of."""
+        self._bus = bus
+        threads = [self._thread("capture", self._capture), self._thread("perception", self._perceive)]
+        bus.start()
+        for thread in threads:
+            thread.start()
+        self._notifier.status("running; waiting for the camera")
+        self._notifier.ready()
+        try:
+            self._decide_all()
+        finally:
+            self._stopping.set()
+            self._notifier.stopping()
+            bus.close()
+            for thread in threads:
+                thread.join(JOIN_S)
+            self.camera.close()
+            if self._log_to is not None:
+                self._log_to.close()
+        if self._error is not None:
+            raise self._error
+
+    def _decide_all(self) -> None:
+        next_tick_ns = self._now_ns()
+        while not self._stopping.is_set():
+            if self._seen_all.is_set() and self._inbox.empty():
+                return
+            now_ns = self._now_ns()
+            if now_ns >= next_tick_ns:
+                # Never two ticks for one silence: after a pause of the whole process time goes on from now.
+                next_tick_ns = max(next_tick_ns + self._tick_ns, now_ns)
+                self._decide(Tick(t_ns=now_ns, faults=self._faults(now_ns)), None)
+                continue
+            try:
+                event, frame = self._inbox.get(timeout=(next_tick_ns - now_ns) * 1e-9)
+            except queue.Empty:
+                continue
+            self._decide(event, frame)
+
+    def _decide(self, event: Event, frame: Frame | None) -> None:
+        outputs = self._estimation.step(event)
+        for output in outputs:
+            if isinstance(output, CanFrame):
+                if self._bus is not None:
+                    self._bus.send(output)
+            else:
+                self._last = output
+                if self._on_result is not None:
+                    self._on_result(output)
+        if self._log_to is not None:
+            self._log_to.write(event, outputs, frame)
+        now_ns = self._now_ns()
+        if isinstance(event, Sighting):
+            self.counters.sightings += 1
+            self._recent.append(now_ns)
+            if now_ns - event.t_ns > LATE_NS:
+                self._overload_ns = now_ns
+        elif isinstance(event, CanFrame):
+            self.counters.can_frames += 1
+        elif isinstance(event, Tick):
+            self.counters.ticks += 1
+        self._sign_of_life(event, now_ns)
+
+    def _sign_of_life(self, event: Event, now_ns: int) -> None:
+        """Frames decided, or time passing while the camera is known to be dead: nothing else counts as progress."""
+        progress = isinstance(event, Sighting) or (isinstance(event, Tick) and self._blind_for_a_reason())
+        period_s = self._notifier.watchdog_s
+        if progress and period_s is not None and now_ns - self._fed_ns >= period_s * 1e9 / 4:
+            self._notifier.watchdog()
+            self._fed_ns = now_ns
+        if now_ns - self._status_ns >= STATUS_PERIOD_NS:
+            self._notifier.status(self.status_text(now_ns))
+            self._status_ns = now_ns
+
+    def _blind_for_a_reason(self) -> bool:
+        return self.camera.fault is not None or self.camera.camera.ended
+
+    def _faults(self, now_ns: int) -> tuple[str, ...]:
+        faults: list[str] = []
+        if self.camera.fault is not None:
+            faults.append(self.camera.fault)
+        if self._overload_ns is not None and now_ns - self._overload_ns < OVERLOAD_HOLD_NS:
+            faults.append("overload")
+        if self._log_to is not None and self._log_to.failed:
+            faults.append("record")
+        return (*faults, *(self._bus.faults if self._bus is not None else ()))
+
+    def status_text(self, now_ns: int) -> str:
+        """One line for people."""
+        recent = [t for t in self._recent if now_ns - t < 2_000_000_000]
+        span_s = (recent[-1] - recent[0]) * 1e-9 if len(recent) > 1 else 0.0
+        rate = (len(recent) - 1) / span_s if span_s > 0 else 0.0
+        parts = [f"{rate:.1f} frames/s"]
+        last = self._last
+        if last is not None:
+            lead = last.lead
+            if lead is not None and lead.distance_m is not None:
+                parts.append(f"lead {lead.distance_m:.1f} m")
+            parts.append(f"alert {last.alert.level}")
+        faults = dict.fromkeys((*self._faults(now_ns), *(last.faults if last is not None else ())))
+        parts.append("faults " + ", ".join(faults) if faults else "no faults")
+        return "; ".join(parts)
+
+    # -- the other threads --------------------------------------------------------------------------------------------
+
+    def _thread(self, name: str, work: Callable[[], None]) -> threading.Thread:
+        def guarded() -> None:
+            try:
+                work()
+            except Exception as error:  # a thread's top: it stops the service instead of going unnoticed
+                _log.exception("the %s thread stopped", name)
+                self.crash(error)
+
+        return threading.Thread(target=guarded, name=name, daemon=True)
+
+    def _capture(self) -> None:
+        while not self._stopping.is_set():
+            captured = self.camera.next(0.2)
+            if captured is None and self.camera.camera.ended:
+                break
+            if captured is not None:
+                with self._fresh:
+                    if self._newest is not None:
+                        self.counters.skipped += 1
+                    self._newest = captured
+                    self._fresh.notify()
+        with self._fresh:
+            self._fresh.notify()
+
+    def _perceive(self) -> None:
+        index = 0
+        while not self._stopping.is_set():
+            with self._fresh:
+                if self._newest is None:
+                    if self.camera.camera.ended:
+                        break
+                    self._fresh.wait(0.2)
+                captured, self._newest = self._newest, None
+            if captured is None:
+                continue
+            image = captured.decode()
+            if image is None:
+                self.camera.garbled()
+                continue
+            self.camera.good()
+            frame = Frame(t_ns=captured.t_ns, index=index, image=image)
+            index += 1
+            if self._on_frame is not None:
+                self._on_frame(frame)
+            self._put(self._see(frame), frame)
+        self._seen_all.set()
+
+    def _put(self, event: Event, frame: Frame | None = None) -> None:
+        try:
+            self._inbox.put_nowait((event, frame))
+        except queue.Full:
+            self.counters.inbox_dropped += 1
+            self._overload_ns = self._now_ns()
