@@ -192,6 +192,69 @@ def test_send_never_blocks_and_the_oldest_goes() -> None:
         port.close()
 
 
+def test_an_adapter_that_takes_nothing_is_reported_and_recovers(caplog: pytest.LogCaptureFixture) -> None:
+    master, slave = os.openpty()  # nobody reads: the serial port blocks, as a hung adapter does
+    tty.setraw(slave)
+    os.set_blocking(master, False)
+    quick = CanSettings(interface="slcan", channel=os.ttyname(slave), transmit=True, queue_frames=8)
+    port = CanPort(quick, lambda frame: None, open_pause_s=0.05)
+    drained = threading.Event()
+
+    def drain() -> None:
+        while not drained.is_set():
+            if select.select([master], [], [], 0.02)[0]:
+                os.read(master, 4096)
+
+    with caplog.at_level(logging.WARNING):
+        port.start()
+        helper = threading.Thread(target=drain)
+        helper.start()  # opening waits for its commands to leave
+        wait_for(lambda: port.connected)
+        drained.set()
+        helper.join()
+        start = time.monotonic()
+        for n in range(2000):
+            port.send(CanFrame(t_ns=n, can_id=0x6D0, data=bytes(8)))
+        assert time.monotonic() - start < 1.0
+        assert port.faults == ("can_tx",)
+        assert port.counters.dropped > 0
+        drained.clear()
+        helper = threading.Thread(target=drain)
+        helper.start()
+        wait_for(lambda: port.faults == ())
+    assert sum(r.levelno == logging.ERROR for r in caplog.records) == 1
+    port.close()
+    drained.set()
+    helper.join()
+    os.close(master)
+    os.close(slave)
+
+
+def test_a_refusing_adapter_is_logged_once(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+    refuse = [True]
+    real = can.interfaces.virtual.VirtualBus.send
+
+    def send(self: object, message: can.Message, timeout: float | None = None) -> None:
+        if refuse[0]:
+            raise can.CanOperationError("No buffer space available")
+        real(self, message, timeout)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(can.interfaces.virtual.VirtualBus, "send", send)
+    port = CanPort(settings("refuse"), lambda frame: None)
+    with caplog.at_level(logging.WARNING):
+        port.start()
+        wait_for(lambda: port.connected)
+        for n in range(5):
+            port.send(CanFrame(t_ns=n, can_id=0x6D0, data=b""))
+        wait_for(lambda: port.counters.failed == 5)
+        assert port.faults == ("can_tx",)
+        refuse[0] = False
+        port.send(CanFrame(t_ns=9, can_id=0x6D0, data=b""))
+        wait_for(lambda: port.faults == ())
+    port.close()
+    assert [r.levelno for r in caplog.records] == [logging.ERROR, logging.WARNING]
+
+
 def test_no_bus_is_logged_once_and_tried_again(caplog: pytest.LogCaptureFixture, tmp_path: Path) -> None:
     missing = tmp_path / "ttyACM0"
     port = CanPort(CanSettings(interface="slcan", channel=str(missing), transmit=True), lambda frame: None, open_pause_s=0.05)

@@ -134,6 +134,24 @@ def test_a_sign_bit_named_after_its_signal_is_found_and_said() -> None:
     assert "ESP_Gierrate: valid where ESP_QBit_Gierrate is 0, by its name" in made.notes
 
 
+def test_all_bits_one_is_not_available() -> None:
+    wide = (
+        build_decoder(settings(speed={"id": 5, "start_bit": 0, "length": 16, "scale": 0.001, "unit": "m/s"}))
+        .plans[(5, False)]
+        .readers[0]
+    )
+    assert wide.number(b"\xff\xff") is None
+    assert wide.number(b"\xfe\xff") == pytest.approx(65.534)
+    signed = (
+        build_decoder(settings(speed={"id": 5, "start_bit": 0, "length": 16, "signed": True, "unit": "m/s"}))
+        .plans[(5, False)]
+        .readers[0]
+    )
+    assert signed.number(b"\xff\xff") == -1.0
+    narrow = build_decoder(settings(brake={"id": 5, "start_bit": 0, "length": 1})).plans[(5, False)].readers[0]
+    assert narrow.pressed(b"\xff") is True
+
+
 def test_inverted_yaw_rate() -> None:
     made = decoder(yaw_rate={"message": "KINEMATICS", "signal": "YAW_RATE", "unit": "deg/s", "invert": True})
     raw = 600

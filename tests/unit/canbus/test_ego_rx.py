@@ -226,7 +226,7 @@ def test_a_pgn_is_followed_from_its_first_sender() -> None:
         return CanFrame(t_ns=t_ms * MS, can_id=0x18FEF100 | source, data=data, extended=True)
 
     assert rx.update(ccvs(0, 36.0, 0x00)) is not None
-    assert rx.update(ccvs(50, 18.0, 0x27)) is None
+    assert rx.update(ccvs(50, 36.5, 0x27)) is None  # plausible, but of another sender
     state = rx.update(ccvs(100, 36.0, 0x00))
     assert state is not None
     assert state.speed_mps == pytest.approx(10.0)

@@ -18,6 +18,7 @@ _log = logging.getLogger(__name__)
 _RECEIVE_S = 0.2
 _SEND_S = 0.05
 _STALE_S = 1.0  # a stamp older than this, or from the future, tells that the wall clock was set
+_OPEN_PATIENCE_S = 5.0
 _BUS_OFF = 0x40  # of an error frame's id (linux/can/error.h)
 _RESTARTED = 0x100
 
@@ -76,6 +77,7 @@ class CanPort:
         self._wake = threading.Condition()
         self._stop = threading.Event()
         self._last_ns = 0
+        self._started_s = 0.0
         where = f"CAN {settings.interface} {settings.channel}"
         self._bus_fault = LastingFault(_log, where)
         self._send_fault = LastingFault(_log, f"{where} sending")
@@ -98,6 +100,7 @@ class CanPort:
             _log.warning(
                 "CAN %s %s: silent, nothing is sent; set can.transmit = true to send", self._s.interface, self._s.channel
             )
+        self._started_s = time.monotonic()
         work = [("can-rx", self._receive)] + ([("can-tx", self._transmit)] if self._s.transmit else [])
         for name, target in work:
             thread = threading.Thread(target=self._guard, args=(target,), name=name, daemon=True)
@@ -113,6 +116,7 @@ class CanPort:
             if len(self._queue) >= self._s.queue_frames:
                 self._queue.popleft()
                 self.counters.dropped += 1
+                self._send_fault.set("the bus takes no frames and the queue is full; the oldest are dropped and counted")
             self._queue.append(frame)
             self._wake.notify()
 
@@ -221,6 +225,8 @@ class CanPort:
             bus = self._bus
             if bus is None:
                 self.counters.dropped += 1  # an old warning is no use later
+                if time.monotonic() - self._started_s > _OPEN_PATIENCE_S and not self._bus_fault.present:
+                    self._send_fault.set("the adapter does not open (it hangs); frames are dropped and counted")
                 continue
             message = can.Message(arbitration_id=frame.can_id, is_extended_id=frame.extended, data=frame.data)
             try:
