@@ -41,6 +41,7 @@ def test_own_keys_win_over_the_profile(tmp_path: Path) -> None:
     assert merged.yaw_rate is not None
     assert merged.yaw_rate.id == 0x24
     assert merged.gps_device == "/dev/ttyS0"
+    assert merged.profile == ""  # so that a log of these settings needs no profile
 
 
 def test_a_profile_of_ones_own(tmp_path: Path) -> None:

@@ -34,7 +34,7 @@ def load_vehicle_decoder(settings: CanSettings, base_dir: Path) -> VehicleDecode
 
 
 def with_profile(settings: CanSettings, base_dir: Path) -> CanSettings:
-    """The settings with the keys of `[can.vehicle] profile` filled in; keys that the user gave win."""
+    """The settings with the profile's keys filled in and `profile` empty: what a log needs to keep; the user's keys win."""
     profile = settings.vehicle.profile
     if not profile:
         return settings
@@ -58,7 +58,7 @@ def with_profile(settings: CanSettings, base_dir: Path) -> CanSettings:
         for name in VehicleSettings.__struct_fields__
         if (value := getattr(settings.vehicle, name)) != getattr(defaults, name)
     }
-    return msgspec.structs.replace(settings, vehicle=msgspec.structs.replace(base, **own))
+    return msgspec.structs.replace(settings, vehicle=msgspec.structs.replace(base, **own | {"profile": ""}))
 
 
 def _read(path: Path, key: str, advice: str) -> str:
