@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import signal
 import sys
 import traceback
@@ -13,7 +14,7 @@ from pathlib import Path
 from typing import Any, TextIO, TypeVar
 
 from tmde_edge import __version__
-from tmde_edge.errors import CheckFailedError, InputDataError, InputMissingError, TmdeError, UsageError
+from tmde_edge.errors import CheckFailedError, InputDataError, InputMissingError, ModelError, TmdeError, UsageError
 
 T = TypeVar("T")
 
@@ -32,7 +33,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return 130
     except BrokenPipeError:  # the reader of our pipe has seen enough
-        sys.stdout = None  # type: ignore[assignment]
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # nothing more to flush into the closed pipe
         return 0
     except Exception as e:
         if args.verbose:
@@ -68,7 +69,7 @@ def _common(parser: argparse.ArgumentParser, *, top: bool = False) -> None:
     parser.add_argument("-v", "--verbose", action="store_true", default=flag, help="more detail, tracebacks of errors")
 
 
-def _outputs(parser: argparse.ArgumentParser, *, top: bool = False) -> None:
+def _outputs(parser: argparse._ActionsContainer, *, top: bool = False) -> None:
     default: Any = None if top else argparse.SUPPRESS
     parser.add_argument("--jsonl", metavar="FILE", default=default, help="JSON lines, one a frame or image; - is stdout")
 
@@ -113,6 +114,9 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--out", metavar="FOLDER", type=Path)
     sub.add_argument("--seed", type=int, default=0)
     sub.add_argument("--plate", metavar="STANDARD", help="another plate standard than the scenario's own")
+    sub.add_argument("--all", action="store_true", help="with --check: every scenario")
+    sub.add_argument("--check", action="store_true", help="run the desk on it and judge the alerts; exit 1 on a miss")
+    sub.add_argument("--seeds", type=int, default=1, metavar="N", help="with --check: seeds 0 to N-1")
     sub = verb("replay", _replay, "runs a recorded drive again and compares; exit 1 where it differs")
     sub.add_argument("drive_log", metavar="DRIVE_LOG", type=Path)
     verb("check-config", _check_config, "reads a configuration and prints every value in force")
@@ -120,6 +124,16 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("action", choices=["list", "show"])
     sub.add_argument("ids", nargs="*", metavar="ID")
     sub = verb("range-budget", _range_budget, "what this camera can measure at which distance")
+    sub.add_argument("--json", action="store_true", help="rows as JSON lines")
+    sub = verb("models", _models, "the depth networks: where they come from, checksums, int8")
+    sub.add_argument("action", choices=["list", "fetch", "verify", "quantize"])
+    sub.add_argument("names", nargs="*", metavar="NAME")
+    sub.add_argument("--from", dest="from_file", metavar="FILE", type=Path, help="fetch: from a file instead of the network")
+    sub.add_argument(
+        "--frames", nargs="+", metavar="SOURCE", default=[], help="quantize: recordings or folders of your own roads"
+    )
+    sub = verb("bench", _bench, "how fast here: p50, p95, p99 of each stage by resolution")
+    sub.add_argument("what", nargs="?", choices=["detect"], default="detect")
     sub.add_argument("--json", action="store_true", help="rows as JSON lines")
     return parser
 
@@ -155,6 +169,25 @@ def _progress(items: Iterable[T], total: int | None, text: str, quiet: bool) -> 
     from rich.progress import track
 
     yield from track(items, description=text, total=total, console=Console(stderr=True))
+
+
+def _bar(text: str, quiet: bool) -> Callable[[int, int], None] | None:
+    """A progress callback (done, total) drawing a bar on a terminal; None where nothing is to be drawn."""
+    if quiet or not sys.stderr.isatty():
+        return None
+    from rich.console import Console
+    from rich.progress import Progress
+
+    progress = Progress(console=Console(stderr=True))
+    task = progress.add_task(text, total=None)
+    progress.start()
+
+    def show(done: int, total: int) -> None:
+        progress.update(task, completed=done, total=total or None)
+        if total and done >= total:
+            progress.stop()
+
+    return show
 
 
 def _say(args: argparse.Namespace, text: str) -> None:
@@ -256,11 +289,33 @@ def _simulate(args: argparse.Namespace) -> int:
         for name, text in list_scenarios():
             print(f"{name:24} {text}")
         return 0
+    if args.check:
+        return _simulate_check(args)
     if args.scenario is None or args.out is None:
         raise UsageError("simulate needs a SCENARIO and --out FOLDER; `tmde-edge simulate --list` names the scenarios")
-    made = simulate(args.scenario, args.out, seed=args.seed, plate=args.plate)
+    made = simulate(args.scenario, args.out, seed=args.seed, plate=args.plate, progress=_bar("simulate", args.quiet))
     _say(args, f"{made.frame_count} frames in {args.out}: video.mp4, can.log, truth.csv, config.toml")
     return 0
+
+
+def _simulate_check(args: argparse.Namespace) -> int:
+    import tempfile
+
+    from tmde_edge.app.simulate_check import check_scenarios
+
+    if (args.scenario is None) == (not args.all):
+        raise UsageError("simulate --check needs a SCENARIO or --all")
+    names = [args.scenario] if args.scenario is not None else []
+    failed = 0
+    with tempfile.TemporaryDirectory(prefix="tmde-simulate-") as scratch:
+        folder = args.out if args.out is not None else Path(scratch)
+        for o in check_scenarios(folder, names=names, seeds=range(args.seeds), overrides=args.overrides):
+            failed += bool(o.faults)
+            verdict = f"skipped: {o.skipped}" if o.skipped else "FAILED: " + "; ".join(o.faults) if o.faults else "ok"
+            warned = f"first warning at TTC {o.first_warning_ttc_s:.2f} s" if o.first_warning_ttc_s is not None else "no warning"
+            error = f"median |error| {100 * o.median_error:.2f} %" if o.median_error is not None else "never ranged"
+            print(f"{o.name:20} seed {o.seed}  {verdict}  ({warned}, {error})", flush=True)
+    return 1 if failed else 0
 
 
 def _replay(args: argparse.Namespace) -> int:
@@ -300,6 +355,56 @@ def _range_budget(args: argparse.Namespace) -> int:
 
     for line in budget_lines(_config(args), as_json=args.json):
         print(line)
+    return 0
+
+
+def _models(args: argparse.Namespace) -> int:
+    from tmde_edge.adapters.depth.manifest import models_folder
+    from tmde_edge.app import models
+
+    config = _config(args)
+    folder = models_folder(config.depth.folder)
+    names = args.names or [config.depth.model]
+    if args.action == "list":
+        for m in models.list_models(folder):
+            print(f"{m.spec.name:28} {m.state:8} {m.spec.bytes:>11} bytes  {m.spec.licence:12} {m.detail or m.path}")
+    elif args.action == "verify":
+        states = models.verify_models(folder, args.names or None)
+        for m in states:
+            print(f"{m.spec.name:28} {m.state:8} {m.detail}")
+        if not states:
+            _say(args, f"no network in {folder}; run `tmde-edge models fetch {config.depth.model}`")
+        if any(m.state != "present" for m in states):
+            raise ModelError(f"{folder}: not every network is right; run `tmde-edge models fetch NAME` for the broken ones")
+    elif args.action == "fetch":
+        for name in names:
+            got = models.fetch_model(name, folder, from_file=args.from_file, progress=_bar(name, args.quiet))
+            _say(args, f"{name}: {'was there already' if got.already_there else f'{got.bytes} bytes'} in {got.path}")
+    else:
+        from tmde_edge.app.quantize import calibration_frames, quantize_model
+
+        if not args.frames:
+            raise UsageError("models quantize needs --frames SOURCE...: recordings or folders of images of your own roads")
+        frames = calibration_frames(args.frames)
+        for name in names:
+            made = quantize_model(name, folder, frames, progress=_bar(f"quantize {name}", args.quiet))
+            a = made.agreement
+            _say(
+                args,
+                f"{made.spec.name}: {made.bytes} bytes; on {a.frames} held-out frames correlation {a.correlation:.3f}, "
+                f"differs by {a.relative_difference:.1%}; {a.float_ms:.0f} ms float, {a.int8_ms:.0f} ms int8",
+            )
+    return 0
+
+
+def _bench(args: argparse.Namespace) -> int:
+    from tmde_edge.app import bench
+
+    config = bench.one_thread(_config(args))
+    if not args.json:
+        print(bench.header())
+    for row in bench.bench_detect(config, lambda text: _say(args, text)):
+        print(json.dumps(row.as_dict()) if args.json else bench.line(row), flush=True)
     return 0
 
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from tmde_edge.config import Config
 from tmde_edge.errors import ConfigError
 from tmde_edge.plates.standard import PlateStandard, load_standards, select, sizes
-from tmde_edge.ranging.budget import budget
+from tmde_edge.ranging.budget import one_line, range_budget
 
 
 def list_lines() -> Iterator[str]:
@@ -30,19 +30,38 @@ def _show(s: PlateStandard) -> Iterator[str]:
     for name, size in sizes(s):
         nominal = f"{size.mm:g}" if size.mm is not None else "-"
         limits = f"{_limit(size.min)} .. {_limit(size.max)}"
-        yield f"  {name:26} {nominal:>7} mm   limits {limits:16} {'verified' if size.verified else 'unverified':10}  {size.source or s.source}"
+        state = "verified" if size.verified else "unverified"
+        yield f"  {name:26} {nominal:>7} mm   limits {limits:16} {state:10}  {size.source or s.source}"
 
 
 def _limit(value: float | None) -> str:
     return f"{value:g}" if value is not None else "not set"
 
 
+CUE_COLUMNS = ("char_height", "plate_width", "plate_height", "stroke_width", "char_spacing", "border")
+
+
 def budget_lines(config: Config, *, as_json: bool) -> Iterator[str]:
-    """The expected sigma of each cue against distance for the configured camera and plates."""
+    """The expected sigma against distance for the configured camera, per expected standard and cue.
+
+    Raises ConfigError while uncalibrated.
+    """
     camera = config.camera.camera()
     if camera is None:
         raise ConfigError("camera.fx_px is not set: a range budget needs a calibrated camera; give --set camera.fx_px=...")
     for standard in select(config.plates.expect):
-        rows = budget(camera, standard, config.ranging)
+        rows = range_budget(camera, [standard], config.ranging)
+        if as_json:
+            for row in rows:
+                cues = {c.cue: c.sigma_m for c in row.cues}
+                yield json.dumps({"standard": standard.id, "distance_m": row.distance_m, "plate_width_px": row.plate_width_px,
+                                  "char_height_px": row.char_height_px, "sigma_m": row.sigma_m, "cues": cues, "reason": row.reason})  # fmt: skip
+            continue
+        yield one_line(camera, [standard], config.ranging)
+        yield f"{'distance':>9} {'plate':>8} {'glyph':>8} {'sigma':>9}  " + " ".join(f"{c:>12}" for c in CUE_COLUMNS)
         for row in rows:
-            yield json.dumps({"standard": standard.id, **row.as_dict()}) if as_json else row.as_text()
+            by = {c.cue: c.sigma_m for c in row.cues}
+            cells = " ".join(f"{by[c]:10.3f} m" if c in by else f"{'-':>12}" for c in CUE_COLUMNS)
+            sigma = f"{row.sigma_m:7.3f} m" if row.sigma_m is not None else f"{'none':>9}"
+            note = f"  {row.reason}" if row.reason else ""
+            yield f"{row.distance_m:7.1f} m {row.plate_width_px:5.0f} px {row.char_height_px:5.1f} px {sigma}  {cells}{note}"

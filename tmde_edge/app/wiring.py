@@ -12,7 +12,14 @@ from typing import Any
 import cv2
 import msgspec
 
+from tmde_edge.adapters.cameras.disabled import DisabledCamera
+from tmde_edge.adapters.cameras.live_camera import LiveCamera
+from tmde_edge.adapters.cameras.played_file import PlayedFile
+from tmde_edge.adapters.cameras.v4l2 import V4l2Camera, V4l2Settings
 from tmde_edge.adapters.can_ports.dbc_files import load_vehicle_decoder
+from tmde_edge.adapters.depth.manifest import find_model, models_folder
+from tmde_edge.adapters.depth.paced import Network, PacedDepth
+from tmde_edge.adapters.depth.recorded import RecordedDepth
 from tmde_edge.adapters.detectors.platenet import PlateNet
 from tmde_edge.app.dry_run import DepthSource
 from tmde_edge.app.eyes import Eyes, calibrated_prior
@@ -22,7 +29,6 @@ from tmde_edge.app.replay import Outcome, replay
 from tmde_edge.canbus.alert_tx import AlertTransmitter
 from tmde_edge.canbus.ego_rx import EgoReceiver
 from tmde_edge.config import Config, from_tree, to_tree
-from tmde_edge.errors import ConfigError
 from tmde_edge.estimation import Estimation, Parts
 from tmde_edge.messages import Pose
 from tmde_edge.plates.standard import select
@@ -64,6 +70,7 @@ def build_eyes(config: Config, clock_ns: Callable[[], int]) -> Eyes:
         reader = PaperReader(config.segmenter)
     else:
         from tmde_edge.adapters.detectors.glyphnet import GlyphNet
+        from tmde_edge.vision.segment.glyph_reader import GlyphReader
 
         reader = GlyphReader(GlyphNet(threads=count), config.segmenter)
     perception = Perception(
@@ -156,7 +163,34 @@ def replay_log(path: Path) -> Outcome:
 
 
 def build_depth(config: Config, base_dir: Path) -> DepthSource | None:
-    """Relative depth on source time, or None where it is off. Raises ModelError."""
-    if config.depth.kind == "none":
+    """Relative depth on source time, or None where it is off. Raises ModelError, InputMissingError, InputDataError."""
+    d = config.depth
+    if d.kind == "none":
         return None
-    raise ConfigError(f'depth.kind = {config.depth.kind!r}: not in this version; set depth.kind = "none"')
+    if d.kind == "recorded":
+        return RecordedDepth(base_dir / d.path, rate_hz=d.rate_hz, latency_s=d.latency_s)
+    return PacedDepth(depth_network(config), rate_hz=d.rate_hz, latency_s=d.latency_s)
+
+
+def depth_network(config: Config) -> Network:
+    """The depth network of `[depth] model`. Raises ModelError."""
+    from tmde_edge.adapters.depth.onnx_depth import OnnxDepth
+
+    d = config.depth
+    spec, path = find_model(d.model, models_folder(d.folder))
+    return OnnxDepth(spec, path, threads=d.threads, grid=(d.grid_columns, d.grid_rows), providers=d.providers)
+
+
+def build_camera(config: Config, base_dir: Path) -> LiveCamera:
+    """The live source of frames."""
+    c = config.camera
+    if c.kind == "video_file":
+        return PlayedFile(str(base_dir / c.device), loop=c.loop, fps=c.rate_hz, threads=threads(config))
+    if c.kind == "disabled":
+        return DisabledCamera()
+    return V4l2Camera(
+        V4l2Settings(
+            device=c.device, width_px=c.width_px, height_px=c.height_px, rate_hz=c.rate_hz, pixel_format=c.pixel_format,
+            exposure_us=c.exposure_us, gain=c.gain, focus=c.focus,
+        )
+    )  # fmt: skip
