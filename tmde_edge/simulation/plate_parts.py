@@ -1,0 +1,322 @@
+"""What plate faces are put together from: rows of characters, bands, seals, screws, stickers, colours."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from tmde_edge.simulation.plate_face import Colour, FaceSpec, GlyphSpec, Mark
+
+LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
+
+DIGITS = "0123456789"
+
+WHITE: Colour = (238.0, 240.0, 240.0)
+
+BLACK: Colour = (26.0, 24.0, 24.0)
+
+EU_BLUE: Colour = (150.0, 62.0, 12.0)
+
+YELLOW: Colour = (20.0, 190.0, 245.0)
+
+SLOGANS = (
+    "SUNSHINE STATE",
+    "GREAT LAKES",
+    "LAND OF LINCOLN",
+    "WILD WONDERFUL",
+    "GOLDEN",
+    "MOUNTAINS",
+    "FIRST IN FLIGHT",
+)
+
+STATES = (
+    "MICHIGAN",
+    "TEXAS",
+    "OHIO",
+    "NEW YORK",
+    "FLORIDA",
+    "ALBERTA",
+    "QUEBEC",
+    "SONORA",
+    "UTAH",
+    "VIRGINIA",
+    "MAINE",
+)
+
+
+@dataclass(slots=True)
+class Face:
+    """A face under construction."""
+
+    width_mm: float
+    height_mm: float
+    background_bgr: Colour
+    ink_bgr: Colour
+    glyphs: list[GlyphSpec] = field(default_factory=list)
+    marks: list[Mark] = field(default_factory=list)
+    border_mm: float = 0.0
+    border_inset_mm: float = 0.0
+    corner_radius_mm: float = 8.0
+    border_bgr: Colour | None = None
+
+    def mark(
+        self,
+        kind: str,
+        left: float,
+        top: float,
+        width: float,
+        height: float,
+        colour: Colour,
+        *,
+        colour2: Colour | None = None,
+        text: str = "",
+        stroke: float = 0.0,
+        radius: float = 0.0,
+        opacity: float = 1.0,
+        above: bool = False,
+    ) -> None:
+        """Add a mark; mm, plate frame."""
+        self.marks.append(
+            Mark(
+                kind=kind,
+                left_mm=left,
+                top_mm=top,
+                width_mm=width,
+                height_mm=height,
+                colour_bgr=colour,
+                colour2_bgr=colour2,
+                text=text,
+                stroke_mm=stroke,
+                corner_radius_mm=radius,
+                opacity=opacity,
+                above=above,
+            )
+        )
+
+    def done(self) -> FaceSpec:
+        """The finished description."""
+        return FaceSpec(
+            width_mm=self.width_mm,
+            height_mm=self.height_mm,
+            glyphs=tuple(self.glyphs),
+            background_bgr=self.background_bgr,
+            ink_bgr=self.ink_bgr,
+            border_mm=self.border_mm,
+            border_inset_mm=self.border_inset_mm,
+            corner_radius_mm=self.corner_radius_mm,
+            marks=tuple(self.marks),
+            border_bgr=self.border_bgr,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Type:
+    """Letter sizes of a row, mm."""
+
+    height: float
+    letter: float
+    digit: float
+    stroke: float
+    gap: float
+    group: float
+
+
+def random_text(rng: np.random.Generator, pattern: str) -> str:
+    """Fill a pattern: L letter, D digit, X either; anything else stays."""
+    pools = {"L": LETTERS, "D": DIGITS, "X": LETTERS + DIGITS}
+    return "".join(str(rng.choice(list(pools[c]))) if c in pools else c for c in pattern)
+
+
+def uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    return float(rng.uniform(low, high))
+
+
+def pick(rng: np.random.Generator, options: Sequence[str]) -> str:
+    return options[int(rng.integers(len(options)))]
+
+
+def chance(rng: np.random.Generator, p: float) -> bool:
+    return bool(rng.random() < p)
+
+
+def near(rng: np.random.Generator, colour: Colour, spread: float = 18.0) -> Colour:
+    b, g, r = (float(np.clip(c + rng.normal(0, spread), 0, 255)) for c in colour)
+    return b, g, r
+
+
+def dark(rng: np.random.Generator) -> Colour:
+    options = (BLACK, BLACK, (110.0, 40.0, 20.0), (40.0, 90.0, 20.0), (40.0, 30.0, 140.0), (90.0, 20.0, 60.0))
+    return near(rng, options[int(rng.integers(len(options)))])
+
+
+def pale(rng: np.random.Generator) -> Colour:
+    level = uniform(rng, 150, 250)
+    b, g, r = (float(np.clip(level + rng.normal(0, 30), 90, 255)) for _ in range(3))
+    return b, g, r
+
+
+def row_of(
+    rng: np.random.Generator,
+    face: Face,
+    text: str,
+    size: Type,
+    *,
+    left: float,
+    right: float,
+    top: float,
+    row: int = 0,
+    align: str = "centre",
+    hyphen: str = "none",
+    counted: bool = True,
+) -> tuple[float, float]:
+    """Lay one row between left and right; narrower when it does not fit. Gives the ink's left and right edge.
+
+    In text: blank a group gap, "-" the style's separator (hyphen "bar", "dot", "seal", "emblem"; "none": a gap),
+    "_" half a group gap.
+    """
+    advance: list[tuple[str, float]] = []
+    for char in text:
+        if char == " ":
+            advance.append((char, size.group))
+        elif char == "_":
+            advance.append((char, size.group * 0.5))
+        elif char == "-":
+            advance.append((char, {"bar": 15.0, "dot": 11.0, "seal": 34.0, "emblem": 30.0}.get(hyphen, size.group)))
+        elif char == "I":
+            advance.append((char, size.stroke if chance(rng, 0.7) else 2.2 * size.stroke))
+        elif char == "1":
+            advance.append((char, max(size.digit * 0.55, 1.3 * size.stroke)))
+        elif char in DIGITS:
+            advance.append((char, size.digit))
+        elif char in "MW" and chance(rng, 0.5):
+            advance.append((char, size.letter * 1.12))
+        elif not char.isascii():
+            advance.append((char, min(size.height * uniform(rng, 0.7, 1.0), size.letter * 1.5)))
+        else:
+            advance.append((char, size.letter))
+    total = sum(width for _, width in advance) + size.gap * (len(advance) - 1)
+    room = right - left
+    shrink = min(1.0, room / total)
+    x = {"centre": (left + right - total * shrink) / 2, "left": left, "right": right - total * shrink}[align]
+    first, last = x, x
+    for char, width in advance:
+        w = width * shrink
+        if char == "-":
+            _separator(rng, face, hyphen, x, w, top, size)
+        elif char not in " _":
+            face.glyphs.append(
+                GlyphSpec(
+                    char=char,
+                    left_mm=x,
+                    top_mm=top,
+                    width_mm=w,
+                    height_mm=size.height,
+                    stroke_mm=min(size.stroke, 0.45 * w) if char not in "I1" else min(size.stroke, w),
+                    counted=counted,
+                    row=row,
+                )
+            )
+            last = x + w
+        x += w + size.gap * shrink
+    return first, last
+
+
+def _separator(rng: np.random.Generator, face: Face, kind: str, x: float, width: float, top: float, size: Type) -> None:
+    middle = top + size.height / 2
+    if kind == "bar":
+        face.mark("rect", x, middle - size.stroke / 2, width, size.stroke, face.ink_bgr)
+    elif kind == "dot":
+        face.mark("disc", x, middle - width / 2, width, width, face.ink_bgr)
+    elif kind == "seal":
+        d = width * 0.95
+        for y in (middle - d * 1.1, middle + d * 0.1):
+            colour = near(rng, (60, 120, 60), 60)
+            face.mark("disc", x, y, d, d, colour)
+            face.mark("disc", x, y, d, d, near(rng, (150, 150, 150), 50), stroke=d * 0.12)
+            face.mark("rect", x + d * 0.3, y + d * 0.3, d * 0.4, d * 0.4, near(rng, (120, 170, 200), 60))
+    elif kind == "emblem":
+        colour = near(rng, face.ink_bgr, 60)
+        for _ in range(int(rng.integers(1, 4))):
+            w, h = width * uniform(rng, 0.4, 1.0), size.height * uniform(rng, 0.3, 0.8)
+            kind2 = "disc" if chance(rng, 0.5) else "rect"
+            face.mark(
+                kind2,
+                x + (width - w) / 2,
+                middle - h / 2,
+                w,
+                h,
+                colour,
+                opacity=uniform(rng, 0.3, 0.9),
+                stroke=0.0 if chance(rng, 0.7) else 3.0,
+            )
+
+
+def screws(rng: np.random.Generator, face: Face) -> None:
+    """Bolt heads or holes, two or four, anywhere that people put them."""
+    dx = uniform(rng, 0.25, 0.46) * face.width_mm
+    dy = face.height_mm / 2 - uniform(rng, 8, 16) if face.height_mm > 125 else uniform(rng, -5, 5)
+    d = uniform(rng, 6, 13)
+    colour = near(rng, (120, 120, 120), 60) if chance(rng, 0.6) else face.background_bgr
+    for side_x in (-1, 1):
+        for side_y in (-1, 1) if face.height_mm > 125 and chance(rng, 0.5) else (-1,):
+            face.mark("disc", side_x * dx - d / 2, side_y * dy - d / 2, d, d, near(rng, colour, 8), above=True)
+            if chance(rng, 0.5):
+                face.mark("disc", side_x * dx - d / 2, side_y * dy - d / 2, d, d, (60, 60, 60), stroke=1.0, above=True)
+
+
+def sticker(rng: np.random.Generator, face: Face, left: float, top: float, width: float, height: float) -> None:
+    colour = near(rng, (120, 120, 120), 90)
+    face.mark("rect", left, top, width, height, colour)
+    text = pick(rng, ("24", "25", "JUN", "12", "2026", "DEC", "07"))
+    face.mark(
+        "text",
+        left + 0.1 * width,
+        top + 0.25 * height,
+        0.8 * width,
+        0.5 * height,
+        BLACK if sum(colour) > 360 else WHITE,
+        text=text,
+    )
+
+
+def _stars(face: Face, x: float, width: float, y: float) -> None:
+    for k in range(12):
+        angle = k * np.pi / 6
+        face.mark(
+            "disc",
+            x + width / 2 + width * 0.3 * float(np.cos(angle)) - 2,
+            y + width * 0.3 * float(np.sin(angle)) - 2,
+            4,
+            4,
+            (0, 210, 250),
+        )
+
+
+def bands(rng: np.random.Generator, face: Face, code: str, *, right: bool = False) -> tuple[float, float]:
+    """Blue band at the left (and right); gives the free space between."""
+    w, h = face.width_mm, face.height_mm
+    wide = uniform(rng, 38, 46) if w > 400 else uniform(rng, 32, 44)
+    inset = face.border_inset_mm + face.border_mm if chance(rng, 0.5) else 0.0
+    blue = near(rng, EU_BLUE, 14)
+    face.mark("rect", -w / 2 + inset, -h / 2 + inset, wide, h - 2 * inset, blue)
+    band_h = h if h < 130 else h / 2
+    if chance(rng, 0.85):
+        _stars(face, -w / 2, wide, -h / 2 + band_h * 0.33)
+    letter_h = uniform(rng, 16, 24)
+    text_w = min(wide * 0.7, letter_h * 0.8 * len(code))
+    face.mark("text", -w / 2 + (wide - text_w) / 2, -h / 2 + band_h * 0.66, text_w, letter_h, WHITE, text=code)
+    if right:
+        face.mark("rect", w / 2 - wide - inset, -h / 2 + inset, wide, h - 2 * inset, blue)
+        face.mark("disc", w / 2 - wide * 0.8, -h / 2 + h * 0.15, wide * 0.6, wide * 0.6, (0, 200, 240), stroke=3)
+        face.mark(
+            "text",
+            w / 2 - wide * 0.8,
+            -h / 2 + h * 0.68,
+            wide * 0.6,
+            17,
+            WHITE,
+            text=random_text(rng, "DD") if chance(rng, 0.7) else random_text(rng, "LL"),
+        )
+    return -w / 2 + wide + inset, w / 2 - (wide if right else 0.0) - inset
