@@ -131,7 +131,9 @@ def fit_similarity(p: Array, q: Array, floor_px: float) -> Similarity | None:
     zp, zq = p[:, 0] + 1j * p[:, 1], q[:, 0] + 1j * q[:, 1]
     i, j = np.triu_indices(n, 1)
     apart = np.abs(zp[i] - zp[j])
-    wide = apart >= np.median(apart)
+    wide = apart >= max(float(np.median(apart)), 1e-6)
+    if not wide.any():
+        return None
     ratios = (zq[i] - zq[j])[wide] / (zp[i] - zp[j])[wide]
     m = complex(np.median(ratios.real), np.median(ratios.imag))
     moved = zq - m * zp

@@ -118,8 +118,8 @@ class Perception:
             self._searched_ns = self._fovea_ns = None
         step_ns = 0 if self._last_ns is None else t_ns - self._last_ns
         self._last_ns = t_ns
+        self._forget_old(t_ns)
         if is_blind(image, self._detector.blind_contrast):
-            self._forget_old(t_ns)
             for track in self._tracks:
                 track.template = track.anchor = None
             self._count(False)
@@ -300,8 +300,7 @@ class Perception:
         return tuple(changes)
 
     def _retire(self, image: Image, t_ns: int) -> None:
-        """Ends tracks that are lost, doubled or outside; renews the templates of the others."""
-        self._forget_old(t_ns)
+        """Ends tracks that are doubled or outside; renews the templates of the others."""
         kept: list[_Track] = []
         for track in sorted(self._tracks, key=lambda t: (t.id == 0, t.id, -t.score)):
             doubled = any(box_iou(track.corners_px, k.corners_px) > 0.4 for k in kept)

@@ -20,7 +20,7 @@ CLOSE_X, CLOSE_Y = 0.2, 0.1  # closing kernel, of the contour's box; at least 3 
 SMALL_HEIGHT_PX = 80  # rectified plates lower than this are accepted on their characters alone
 MIN_CHARACTERS = 3
 # VerifyPlateRegion (ours: the paper names it and leaves it open)
-EDGE_DENSITY = (0.04, 0.5)  # Canny pixels / all; a blank panel has less, foliage and mesh more
+EDGE_DENSITY = (0.04, 0.3)  # Canny pixels / all; plates have 0.1 to 0.2
 MIN_CONTRAST = 25.0  # standard deviation, grey levels
 STEPS_PER_ROW = (6, 60)  # ink to ground crossings along the middle rows: three characters make at least six
 VERIFY_HEIGHT_PX = 100  # regions are verified at this height at most
@@ -73,7 +73,8 @@ class ContourFinder:
     def _largest_rectangle(self, ink: NDArray[np.uint8]) -> Array | None:
         """Closing, largest sub-contour, rotated rectangle: corners in the region's pixels; None outside the limits."""
         h, w = ink.shape
-        kernel = np.ones((max(3, round(CLOSE_Y * h)), max(3, round(CLOSE_X * w))), np.uint8)
+        # odd sizes: an even kernel's closing moves everything by a pixel
+        kernel = np.ones((max(3, round(CLOSE_Y * h)) | 1, max(3, round(CLOSE_X * w)) | 1), np.uint8)
         # the closing must not be stopped by the region's own edge
         py, px = kernel.shape
         padded = cv2.copyMakeBorder(ink, py, py, px, px, cv2.BORDER_CONSTANT, value=0)

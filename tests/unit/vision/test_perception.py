@@ -1,0 +1,248 @@
+"""Perception over made-up drives: schedule, identities, bridging, modes, blindness."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+import pytest
+from scenes import plate_still
+
+from tmde_edge.messages import Frame, Mode
+from tmde_edge.vision.detect.contour import ContourFinder
+from tmde_edge.vision.perception import Perception
+from tmde_edge.vision.protocols import PlateCandidate, PlateReading
+from tmde_edge.vision.search import PlainSearch
+from tmde_edge.vision.segment.paper import PaperReader
+from tmde_edge.vision.settings import DetectorSettings, FlowSettings, SegmenterSettings
+
+STEP_NS = 33_333_333
+STILL = plate_still("us-mi", 120, seed=2)
+
+
+@dataclass
+class ScriptedSearch:
+    """Knows where the plates are; counts its calls; can look away."""
+
+    plates: list[PlateCandidate] = field(default_factory=list)
+    blindfold: bool = False
+    frames: int = 0
+    regions: list[tuple[int, int, int, int]] = field(default_factory=list)
+    modes: list[Mode] = field(default_factory=list)
+
+    def frame(self, image, mode):
+        self.frames += 1
+        self.modes.append(mode)
+        return [] if self.blindfold else list(self.plates)
+
+    def region(self, image, region_px, plate_width_px, mode):
+        self.regions.append(region_px)
+        x0, y0, x1, y1 = region_px
+        inside = lambda c: x0 <= c[0] < x1 and y0 <= c[1] < y1  # noqa: E731
+        return [] if self.blindfold else [p for p in self.plates if inside(p.corners_px.mean(axis=0))]
+
+    def still(self, image, mode):
+        return list(self.plates)
+
+
+class EchoReader:
+    """Takes every candidate at its word."""
+
+    platehood: float | None = None
+
+    def read(self, image, candidates):
+        return [
+            PlateReading(corners_px=c.corners_px, corners_sigma_px=0.2, refined=True, characters=(), platehood=self.platehood)
+            for c in candidates
+        ]
+
+
+def _perception(search, reader=None, *, flow=True, **detector):
+    return Perception(
+        search=search, reader=reader or EchoReader(), detector=DetectorSettings(fovea=False, **detector),
+        segmenter=SegmenterSettings(kind="paper"), flow=FlowSettings(enabled=flow), clock_ns=lambda: 0,
+    )
+
+
+def _frame(i, image=None, step_ns=STEP_NS):
+    return Frame(t_ns=1_000_000_000 + i * step_ns, index=i, image=STILL.image if image is None else image)
+
+
+def _candidate(shift=(0.0, 0.0), score=0.95):
+    return PlateCandidate(corners_px=STILL.corners_px + shift, score=score)
+
+
+def test_full_searches_run_at_their_rate_of_source_time_and_regions_every_frame():
+    search = ScriptedSearch([_candidate()])
+    p = _perception(search, search_rate_hz=10)
+    sightings = [p.see(_frame(i)) for i in range(31)]
+    assert search.frames == sum(s.searched for s in sightings) == 11
+    assert [s.searched for s in sightings[:7]] == [True, False, False, True, False, False, True]
+    assert len(search.regions) == 30
+    assert all(s.plates[0].track_id == 1 and s.plates[0].source == "detector" for s in sightings)
+
+
+def test_two_runs_are_identical():
+    runs = []
+    for _ in range(2):
+        p = _perception(ScriptedSearch([_candidate(), _candidate((200.0, 40.0))]))
+        runs.append([p.see(_frame(i)) for i in range(12)])
+    assert runs[0] == runs[1]
+
+
+def test_an_unsure_plate_waits_for_its_second_sighting_a_sure_one_does_not():
+    unsure = _perception(ScriptedSearch([_candidate(score=0.6)]))
+    assert [len(unsure.see(_frame(i)).plates) for i in range(3)] == [0, 1, 1]
+    assert _perception(ScriptedSearch([_candidate(score=0.95)])).see(_frame(0)).plates
+
+
+def test_a_flash_that_is_seen_once_is_never_reported():
+    search = ScriptedSearch([_candidate(score=0.6)])
+    p = _perception(search)
+    seen = list(p.see(_frame(0)).plates)
+    search.blindfold = True
+    for i in range(1, 30):
+        seen += p.see(_frame(i)).plates
+    assert seen == []
+
+
+def test_identities_are_counted_from_one_and_kept_while_plates_move():
+    search = ScriptedSearch()
+    p = _perception(search, flow=False)
+    ids = []
+    for i in range(15):
+        search.plates = [_candidate((3.0 * i, 0.0)), _candidate((-300.0 + 2 * i, 60.0))]
+        ids.append(sorted((s.corners_px[0][0], s.track_id) for s in p.see(_frame(i)).plates))
+    assert {tuple(t for _, t in row) for row in ids} == {(2, 1)} or {tuple(t for _, t in row) for row in ids} == {(1, 2)}
+
+
+def test_flow_bridges_a_dropout_then_the_track_ends():
+    search = ScriptedSearch([_candidate()])
+    p = _perception(search, lost_s=0.3)
+    p.see(_frame(0))
+    search.blindfold = True
+    later = []
+    for i in range(1, 15):
+        shift = np.array([[1, 0, 2.0 * i], [0, 1, -1.0 * i]], np.float64)
+        size = (STILL.image.shape[1], STILL.image.shape[0])
+        moved = cv2.warpAffine(STILL.image, shift, size, borderMode=cv2.BORDER_REPLICATE)
+        later.append(p.see(_frame(i, moved)))
+    bridged = [s for s in later if s.plates]
+    assert 7 <= len(bridged) <= 9
+    for s in bridged:
+        (plate,) = s.plates
+        assert plate.source == "flow"
+        assert np.array(plate.corners_px)[0] - STILL.corners_px[0] == pytest.approx(
+            [2.0 * s.frame_index, -1.0 * s.frame_index], abs=0.5
+        )
+    scores = [s.plates[0].score for s in bridged]
+    assert scores == sorted(scores, reverse=True)
+    assert later[-1].status == "no_plate"
+
+
+def test_the_same_identity_after_a_short_dropout_another_after_a_long_one():
+    search = ScriptedSearch([_candidate()])
+    p = _perception(search, lost_s=0.3)
+    assert p.see(_frame(0)).plates[0].track_id == 1
+    search.blindfold = True
+    for i in range(1, 5):
+        p.see(_frame(i))
+    search.blindfold = False
+    assert p.see(_frame(5)).plates[0].track_id == 1
+    search.blindfold = True
+    for i in range(6, 30):
+        p.see(_frame(i))
+    search.blindfold = False
+    assert next(s for i in range(30, 40) if (s := p.see(_frame(i))).plates).plates[0].track_id == 2
+
+
+def test_growth_of_the_image_is_reported_over_its_base():
+    search = ScriptedSearch()
+    p = _perception(search)
+    centre = STILL.corners_px.mean(axis=0)
+    changes = []
+    for i in range(13):
+        k = 1.004**i
+        warp = np.array([[k, 0, centre[0] * (1 - k)], [0, k, centre[1] * (1 - k)]])
+        search.plates = [PlateCandidate(corners_px=STILL.corners_px @ warp[:, :2].T + warp[:, 2], score=0.95)]
+        size = (STILL.image.shape[1], STILL.image.shape[0])
+        image = cv2.warpAffine(STILL.image, warp, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+        sighting = p.see(_frame(i, image))
+        changes += [(sighting.t_ns, c) for c in sighting.scale_changes]
+    assert {c.source for _, c in changes} == {"plate", "vehicle"}
+    for t_ns, c in changes:
+        frames = (t_ns - c.t_from_ns) / STEP_NS
+        assert frames == pytest.approx(6)
+        assert c.ratio == pytest.approx(1.004**6, abs=max(0.002, 4 * c.sigma))
+
+
+def test_permissive_after_thirty_frames_strict_again_on_success():
+    search = ScriptedSearch()
+    p = _perception(search, search_rate_hz=1000, permissive_after_frames=30)
+    modes = [p.see(_frame(i)).mode for i in range(40)]
+    assert modes == ["strict"] * 30 + ["permissive"] * 10
+    assert search.modes[-1] == "permissive"
+    search.plates = [_candidate()]
+    p.see(_frame(40))
+    assert p.see(_frame(41)).mode == "strict"
+
+
+@pytest.mark.parametrize("image", [
+    np.zeros((360, 640, 3), np.uint8), np.full((360, 640), 255, np.uint8), np.full((360, 640, 3), 91, np.uint8),
+])
+def test_blindness_is_not_absence(image):
+    p = _perception(ScriptedSearch([_candidate()]))
+    assert p.see(Frame(t_ns=1, index=0, image=image)).status == "blind"
+    assert p.see_still(Frame(t_ns=1, index=0, image=image)).status == "blind"
+    assert _perception(ScriptedSearch()).see(_frame(0)).status == "no_plate"
+
+
+def test_a_finder_that_fails_is_not_an_empty_road():
+    class Broken(ScriptedSearch):
+        def frame(self, image, mode):
+            raise RuntimeError("the network fell over")
+
+    with pytest.raises(RuntimeError, match="fell over"):
+        _perception(Broken()).see(_frame(0))
+
+
+def test_a_reader_that_sees_no_plate_there_overrules_the_finder():
+    reader = EchoReader()
+    reader.platehood = 0.01
+    p = _perception(ScriptedSearch([_candidate()]), reader)
+    assert p.see_still(_frame(0)).status == "no_plate"
+    assert all(p.see(_frame(i)).status == "no_plate" for i in range(5))
+
+
+def test_time_that_steps_back_ends_all_tracks():
+    p = _perception(ScriptedSearch([_candidate()]))
+    assert p.see(_frame(10)).plates[0].track_id == 1
+    again = p.see(_frame(0))
+    assert again.searched
+    assert again.plates[0].track_id == 2
+
+
+def test_cut_plates_are_marked():
+    x0 = int(STILL.corners_px[:, 0].min()) + 30
+    image = np.ascontiguousarray(STILL.image[:, x0:])
+    p = _perception(ScriptedSearch([PlateCandidate(corners_px=STILL.corners_px - (x0, 0), score=0.95)]))
+    assert p.see_still(_frame(0, image)).plates[0].cut
+    assert not _perception(ScriptedSearch([_candidate()])).see_still(_frame(0)).plates[0].cut
+
+
+def test_the_papers_pipeline_end_to_end_grey_and_colour():
+    detector, segmenter = DetectorSettings(kind="contour"), SegmenterSettings(kind="paper")
+    search = PlainSearch(ContourFinder(detector, (2.0, 2.0)), detector)
+    still = plate_still("us-mi", 220, seed=4)
+    heights = []
+    for image in (still.image, cv2.cvtColor(still.image, cv2.COLOR_BGR2GRAY)):
+        p = Perception(
+            search=search, reader=PaperReader(segmenter), detector=detector, segmenter=segmenter, flow=FlowSettings(),
+            clock_ns=lambda: 0,
+        )
+        best = max(p.see_still(_frame(0, image)).plates, key=lambda s: len(s.glyphs))
+        assert len(best.glyphs) == len(still.glyph_boxes_px)
+        heights.append(best.char_height_px)
+    assert heights[0] == pytest.approx(still.char_height_px, rel=0.02)
+    assert heights[1] == pytest.approx(heights[0], rel=0.01)
