@@ -19,6 +19,7 @@ WHITE: Colour = (255, 255, 255)
 BLACK: Colour = (0, 0, 0)
 GREY: Colour = (190, 190, 190)
 CYAN: Colour = (220, 200, 60)
+MAGENTA: Colour = (220, 60, 220)
 ALERT_COLOURS: dict[str, Colour] = {"none": (90, 200, 90), "caution": (0, 190, 255), "warning": (50, 50, 240)}
 FONT = cv2.FONT_HERSHEY_SIMPLEX
 MIN_HEIGHT_PX = 540  # smaller pictures are enlarged, or the text would cover them
@@ -126,7 +127,7 @@ def _plate(pen: _Pen, plate: PlateResult, result: FrameResult) -> None:
     colour = ALERT_COLOURS[result.alert.level] if plate.lead else GREY
     pen.outline(seen.corners_px, colour, 2 if plate.lead else 1)
     for glyph in seen.glyphs:
-        pen.outline(_glyph_corners(glyph), WHITE if glyph.main else GREY, 1)
+        pen.outline(_glyph_corners(glyph), MAGENTA if glyph.main else CYAN, 1)
     if plate.range is not None:
         label = f"{plate.range.distance_m:.2f} ± {plate.range.sigma_m:.2f} m"
         label += f"  {plate.range.standard}" if plate.range.standard else ""
@@ -191,7 +192,7 @@ def lead_lines(lead: LeadEstimate) -> list[str]:
         lines.append("distance: not calibrated")
     if lead.range_rate_mps is not None and lead.range_rate_sigma_mps is not None:
         lines.append(f"range rate {lead.range_rate_mps:+.1f} ± {lead.range_rate_sigma_mps:.1f} m/s")
-    sigma = f" ± {lead.ttc_sigma_s:.1f}" if lead.ttc_sigma_s is not None else ""
+    sigma = f" ± {max(lead.ttc_sigma_s, 0.1):.1f}" if lead.ttc_sigma_s is not None else ""
     lines.append(f"TTC {lead.ttc_s:.1f}{sigma} s" if lead.ttc_s is not None else "TTC -  (not closing)")
     if lead.headway_s is not None:
         lines.append(f"headway {lead.headway_s:.1f} s")
