@@ -8,7 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tmde_edge.vision.rectify import (
-    apply_homography, homography_source_from_rectified, is_convex, order_corners, rectify, rectify_grey, size_px, to_grey,
+    apply_homography,
+    homography_source_from_rectified,
+    is_convex,
+    order_corners,
+    rectify,
+    rectify_grey,
+    size_px,
+    to_grey,
 )
 
 BOX = np.array([[10.0, 20.0], [110.0, 22.0], [108.0, 47.0], [9.0, 44.0]])
