@@ -55,7 +55,7 @@ class VehicleTruth:
     range_rate_mps: float
     gap_m: float
     ttc_s: float | None  # of the gap at the present rate
-    ttc_braking_s: float | None  # with the present accelerations counted
+    ttc_braking_s: float | None  # with the lead's braking counted, and ours not: nobody brakes until warned
     lateral_m: float
     path_offset_m: float  # of its rear from the ego's own track
     in_path: bool
@@ -177,7 +177,7 @@ def _vehicle_truth(
 
     first, last = at(before), at(after)
     rate = (last - first) / (2 * near_s) if first is not None and last is not None else 0.0
-    _, ego_speed, ego_accel = scenario.ego.state(t_s)
+    ego_speed = scenario.ego.state(t_s)[1]
     _, speed, accel = actor.motion.state(t_s)
     gap = distance - scenario.camera.to_bumper_m
     # the ego's own track is the road shifted by its lateral place: compare lateral places on the road
@@ -194,7 +194,7 @@ def _vehicle_truth(
     ttc = gap / -rate if rate < -1e-6 and gap > 0 else None
     return VehicleTruth(
         frame=frame, t_s=t_s, name=actor.name, distance_m=distance, range_rate_mps=rate, gap_m=gap, ttc_s=ttc,
-        ttc_braking_s=ttc_counting_accel(gap, ego_speed, ego_accel, speed, accel), lateral_m=float(centre[0]),
+        ttc_braking_s=ttc_counting_accel(gap, ego_speed, 0.0, speed, min(accel, 0.0)), lateral_m=float(centre[0]),
         path_offset_m=offset, in_path=abs(offset) < IN_PATH_M, plate_corners_px=corners, char_height_px=height,
         glyph_count=sum(g.counted for g in face.glyphs) if face is not None else None,
         plate_visible=visible_share(now, index), speed_mps=speed,
