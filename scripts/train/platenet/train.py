@@ -13,6 +13,7 @@ import sys
 import time
 from pathlib import Path
 
+import cv2
 import numpy as np
 import torch
 import torch.nn.functional as F
@@ -68,6 +69,27 @@ class Shards:
         return np.stack(images), metas, np.array(street)
 
 
+def vary(images: NDArray[np.uint8], metas: list[list], side_px: int, rng: np.random.Generator) -> tuple[NDArray[np.uint8], list[list], int]:  # type: ignore[type-arg]
+    """Another size for the whole batch, and half of the patches mirrored, so that a shard can be used several times."""
+    new = int(rng.choice(np.arange(side_px * 3 // 4, side_px * 9 // 8 + 1, 32)))
+    k = new / side_px
+    out, labels = np.empty((len(images), new, new, 3), np.uint8), []
+    for i, (image, meta) in enumerate(zip(images, metas, strict=True)):
+        if k != 1:
+            image = cv2.resize(image, (new, new), interpolation=cv2.INTER_AREA if k < 1 else cv2.INTER_LINEAR)
+        mirror = rng.random() < 0.5
+        out[i] = image[:, ::-1] if mirror else image
+        lab = []
+        for corners, weight, kind in meta:
+            q = (np.asarray(corners) + 0.5) * k - 0.5
+            if mirror:
+                q[:, 0] = new - 1 - q[:, 0]
+                q = q[[1, 0, 3, 2]]
+            lab.append((q, weight, kind if np.ptp(q[:, 0]) >= 6.5 else 1))
+        labels.append(lab)
+    return out, labels, new
+
+
 def head_loss(out: Tensor, maps: list[NDArray[np.float32]], unit_px: float, street: Tensor, trust: bool) -> tuple[Tensor, Tensor, float]:
     """Penalty-reduced focal loss (CenterNet, eq. 1) and size-normalised smooth L1 of the corners; sums, and the number of plates."""
     heat, keep, offsets, weight, size = (torch.from_numpy(m) for m in maps)
@@ -103,6 +125,7 @@ def main() -> None:
     if (a.minutes is None) == (a.steps is None):
         p.error("give --minutes or --steps")
     torch.set_num_threads(a.threads)
+    cv2.setNumThreads(1)
     torch.manual_seed(a.seed)
     a.out.mkdir(parents=True, exist_ok=True)
     net = PlateNet()
@@ -141,6 +164,7 @@ def main() -> None:
             g["lr"] = rate
         side = 384 if rng.random() < 0.2 else 256
         images, metas, street = data[side].batch()
+        images, metas, side = vary(images, metas, side, rng)
         gain = rng.uniform(0.75, 1.25, (len(images), 1, 1, 1)) * rng.uniform(0.93, 1.07, (len(images), 1, 1, 3))
         x = torch.from_numpy(images).float() * torch.from_numpy(gain / 255).float()
         x = x.clamp_(0, 1).permute(0, 3, 1, 2)  # channels last in memory
