@@ -65,6 +65,7 @@ class Rows:
     z_m: Array
     t: Array  # length along the ray with unit z in the camera: x_level = (u - cx)/fx t
     x_m: Array  # of the road's middle
+    stretch: Array  # of lateral places along the row: 1 / cos of the road's heading
     s_near_m: Array  # arc length at the row's lower and upper edge
     s_far_m: Array
 
@@ -78,16 +79,19 @@ def rows_of(camera: SimCamera, pitch_rad: float, ahead: RoadAhead) -> Rows:
     slope = (yn * c + s) / level_z
     seen = np.minimum.accumulate(ahead.down_m / ahead.z_m)
     order = seen[::-1]
-    z_edge = np.interp(slope, order, ahead.z_m[::-1], left=np.inf)
-    visible = np.isfinite(z_edge)
+    # the inverse distance is linear in the slope of sight on level ground: interpolating it is exact there
+    nearness = np.interp(slope, order, 1.0 / ahead.z_m[::-1], left=np.nan)
+    visible = np.isfinite(nearness)
+    z_edge = np.where(visible, 1.0 / np.where(visible, nearness, 1.0), ahead.z_m[-1])
     first_edge = int(np.argmax(visible)) if visible.any() else camera.height_px
     first = min(first_edge, camera.height_px)
     mid = np.arange(first, camera.height_px)
     yn_mid = (mid - camera.cy_px) / camera.fy_px
-    z_mid = np.interp((yn_mid * c + s) / (c - yn_mid * s), order, ahead.z_m[::-1])
+    z_mid = 1.0 / np.interp((yn_mid * c + s) / (c - yn_mid * s), order, 1.0 / ahead.z_m[::-1])
     far, near = z_edge[first:-1], z_edge[first + 1 :]
     return Rows(
         first=first, z_m=z_mid, t=z_mid / (c - yn_mid * s), x_m=np.interp(z_mid, ahead.z_m, ahead.x_m),
+        stretch=np.interp(z_mid, ahead.z_m, np.hypot(1.0, np.gradient(ahead.x_m, ahead.z_m))),
         s_near_m=np.interp(near, ahead.z_m, ahead.s_m), s_far_m=np.interp(far, ahead.z_m, ahead.s_m),
     )
 
@@ -113,6 +117,7 @@ def paint_ground(image: Image, camera: SimCamera, pitch_rad: float, ahead: RoadA
             continue
         a, b = int(inside[0]), int(inside[-1]) + 1
         lateral = columns[None, :] * rows.t[a:b, None].astype(np.float32) - rows.x_m[a:b, None].astype(np.float32)
+        lateral /= rows.stretch[a:b, None].astype(np.float32)
         map_x = (lateral + np.float32(edge)) * np.float32(1 / per_col) - np.float32(0.5)
         middle = 0.5 * (rows.s_near_m[a:b] + rows.s_far_m[a:b])
         row_at = np.mod(middle, period) / per_row
@@ -144,8 +149,8 @@ def _paint_marking(image: Image, camera: SimCamera, rows: Rows, marking: Marking
     share = share * np.clip(1.2 - rows.z_m / 250.0, 0.0, 0.92)  # worn, and grey in the distance
     half = marking.width_m / 2
     scale = camera.fx_px / rows.t
-    left = camera.cx_px + (rows.x_m + marking.lateral_m - half) * scale
-    right = camera.cx_px + (rows.x_m + marking.lateral_m + half) * scale
+    left = camera.cx_px + (rows.x_m + (marking.lateral_m - half) * rows.stretch) * scale
+    right = camera.cx_px + (rows.x_m + (marking.lateral_m + half) * rows.stretch) * scale
     use = (share > 0.01) & (right > -0.5) & (left < camera.width_px - 0.5)
     colour = np.asarray(marking.colour_bgr, np.float32)
     # rows in two lots, so that the narrow far ones do not pay for the wide near ones
