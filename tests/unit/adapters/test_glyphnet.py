@@ -46,7 +46,7 @@ def scene(spec: FaceSpec, width_px: float, x: float, y: float) -> tuple[np.ndarr
     return grey, np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
 
 
-@pytest.mark.parametrize(("text", "dark"), [("AB123CD", False), ("8K4772", False), ("HN90EFZX", False), ("GT5560B", True)])
+@pytest.mark.parametrize(("text", "dark"), [("AB423CD", False), ("8K4772", False), ("HN90EFZX", False), ("GT5560B", True)])
 @pytest.mark.parametrize("width_px", [80.0, 200.0])
 def test_a_rendered_plate_is_read_with_its_count_and_edges(
     network: GlyphNet, text: str, dark: bool, width_px: float
@@ -69,7 +69,7 @@ def test_a_rendered_plate_is_read_with_its_count_and_edges(
 
 
 def test_colour_and_grey_give_the_same_reading_and_a_batch_equals_single_reads(network: GlyphNet) -> None:
-    image, truth = scene(plate("AB123CD"), 120.0, 90.0, 60.0)
+    image, truth = scene(plate("AB423CD"), 120.0, 90.0, 60.0)
     candidates = np.stack([truth, truth + np.array([200.0, 150.0])])
     grey = network.read(image, candidates)
     colour = network.read(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), candidates)
