@@ -1,8 +1,4 @@
-"""The camera's attitude in every frame, from vanishing points as they come: one filter, its state explicit.
-
-Model: the body pitches about its rest as a damped oscillator driven by white noise (suspension, about 1.2 Hz), so that
-between two sightings the pitch is predicted and after the last one it returns to rest with its full spread.
-"""
+"""The camera's attitude in every frame: vanishing points as they come, the picture's movement between them, and rest."""
 
 from __future__ import annotations
 
@@ -12,12 +8,14 @@ import numpy as np
 
 from tmde_edge.geometry.pinhole import Camera
 from tmde_edge.messages import EgoState, LaneSighting, Point, Pose, TiltChange
-from tmde_edge.pose.compensate import FloatArray, pitch_and_yaw, vanishing_point_px
+from tmde_edge.pose.compensate import pitch_and_yaw, vanishing_point_px
+from tmde_edge.pose.pitch_filter import PitchFilter
 from tmde_edge.pose.resting import RestingPose
 from tmde_edge.pose.settings import PoseSettings
 
-_LANE_MEMORY_S = 0.5  # for so long the errors of successive lane sightings are alike
-_WITNESSES_AGAINST_MOTION = 6  # sightings that must agree to overrule the picture's own movement
+_BEND_RAD_M = 1.0  # sigma of a vanishing row on a bend, times its curvature: chords at different depths do not meet
+_WITNESSES_AGAINST_MOTION = 6
+_LEAST_SPEED_MPS = 2.0  # below it yaw rate over speed is no curvature
 
 
 class AttitudeEstimator:
@@ -34,18 +32,25 @@ class AttitudeEstimator:
         resting: RestingPose | None = None,
     ) -> None:
         """The angles are those of calibration; `resting` what earlier drives have learnt. No camera: never measured."""
-        self._settings = settings
+        s = self._settings = settings
         self._camera = camera
         self._calibrated = pitch_rad, roll_rad, yaw_rad
         self._resting = resting if resting is not None else RestingPose()
-        self._state = np.zeros(2)  # pitch about its rest (rad), its rate (rad/s)
-        self._covariance = self._at_rest()
-        self._roll = 0.0, settings.rest_sigma_rad  # about the calibrated roll, and sigma
+        self._filter = PitchFilter(
+            spread_rad=s.pitch_spread_rad,
+            natural_radps=2.0 * math.pi * s.natural_hz,
+            damping=s.damping,
+            offset_rad=s.rest_sigma_rad,
+            offset_time_s=s.offset_time_s,
+            road_radps=s.road_turn_radps,
+            road_time_s=s.road_turn_time_s,
+        )
+        self._roll = 0.0, s.rest_sigma_rad  # about the calibrated roll, and sigma
         self._t_ns: int | None = None
         self._seen_ns: int | None = None
         self._source: str = "none"
-        self._turned_ns: int | None = None  # the last frame whose movement was seen; None where it is not followed
-        self._witnesses = 0
+        self._moved_ns: int | None = None  # of the last movement that was used
+        self._witnesses = 0  # outliers in a row that agree
         self._doubted: tuple[float, float, int] | None = None  # pitch, sigma and time of the last outlier
 
     @property
@@ -83,103 +88,62 @@ class AttitudeEstimator:
         tilt: TiltChange | None = None,
     ) -> Pose:
         """The pose at t_ns; `lanes` and `tilt` are in pixels of an image of `size_px` (default: the calibrated size)."""
+        before_ns, dt_s = self._t_ns, 0.0
+        if before_ns is None or t_ns > before_ns:
+            dt_s = 0.0 if before_ns is None else (t_ns - before_ns) * 1e-9
+            self._t_ns = t_ns
+            if dt_s > 0.0:
+                self._filter.predict(dt_s)
         camera = self._camera
-        if camera is not None and size_px is not None:
-            camera = camera.scaled_to(*size_px)
-        if camera is None or self._settings.method == "none":
-            self._predict(t_ns)
-            return self._pose(t_ns)
-        if tilt is not None and self._t_ns == tilt.t_from_ns and t_ns > tilt.t_from_ns:
-            self._turn(tilt, camera, t_ns)
-            self._turned_ns = t_ns
-        else:
-            self._predict(t_ns)
-            if self._turned_ns is not None and (t_ns - self._turned_ns) * 1e-9 > self._settings.hold_s:
-                self._turned_ns = None
-        if lanes is not None:
-            self._take(lanes, camera, t_ns, ego)
+        if camera is not None and self._settings.method != "none":
+            if size_px is not None:
+                camera = camera.scaled_to(*size_px)
+            if tilt is not None and dt_s > 0.0 and tilt.t_from_ns == before_ns and self._settings.track_motion:
+                self._filter.take_turn(-tilt.down_px / camera.fy_px, tilt.sigma_px / camera.fy_px, dt_s)
+                self._moved_ns = t_ns
+            if lanes is not None:
+                self._take(lanes, camera, t_ns, ego)
         return self._pose(t_ns)
 
-    def _at_rest(self) -> FloatArray:
-        """Covariance when nothing has been seen for long."""
-        s = self._settings
-        rate = s.pitch_spread_rad * 2.0 * math.pi * s.natural_hz
-        return np.diag([s.pitch_spread_rad**2 + s.rest_sigma_rad**2, rate**2])
-
-    def _predict(self, t_ns: int) -> None:
-        if self._t_ns is None or t_ns <= self._t_ns:
-            self._t_ns = t_ns if self._t_ns is None else self._t_ns
-            return
-        dt_s = (t_ns - self._t_ns) * 1e-9
-        self._t_ns = t_ns
-        forward = oscillator(dt_s, 2.0 * math.pi * self._settings.natural_hz, self._settings.damping)
-        still = self._at_rest()
-        self._state = forward @ self._state
-        # The noise that keeps the resting covariance in balance, whatever the step: exact for white noise.
-        self._covariance = forward @ (self._covariance - still) @ forward.T + still
-
-    def _turn(self, tilt: TiltChange, camera: Camera, t_ns: int) -> None:
-        """The pitch moved by what was seen to move; only the slope of the road drifts unseen. A leak leads back to rest."""
-        dt_s = (t_ns - tilt.t_from_ns) * 1e-9
-        self._t_ns = t_ns
-        moved_rad = -tilt.down_px / camera.fy_px
-        sigma_rad = tilt.sigma_px / camera.fy_px
-        still = self._at_rest()
-        keep = math.exp(-dt_s / self._settings.slope_time_s)
-        variance = keep**2 * float(self._covariance[0, 0]) + (1.0 - keep**2) * float(still[0, 0]) + sigma_rad**2
-        # The rate follows from the same movement, for the frames that will have none.
-        rate_sigma = math.sqrt(2.0) * sigma_rad / dt_s
-        self._state = np.array([keep * float(self._state[0]) + moved_rad, moved_rad / dt_s])
-        self._covariance = np.diag([min(variance, float(still[0, 0])), min(rate_sigma**2, float(still[1, 1]))])
-
     def _take(self, lanes: LaneSighting, camera: Camera, t_ns: int, ego: EgoState | None) -> None:
-        ray = camera.rays(np.array([lanes.vanishing_px]))[0]
         roll_rad = self._calibrated[1] + self._roll[0]
-        pitch_rad, yaw_rad = pitch_and_yaw(ray, roll_rad)
+        pitch_rad, yaw_rad = pitch_and_yaw(camera.rays(np.array([lanes.vanishing_px]))[0], roll_rad)
         sigma_rad = math.hypot(
             lanes.sigma_y_px / camera.fy_px,
             lanes.sigma_x_px / camera.fx_px * math.sin(roll_rad),
             self._settings.road_sigma_rad,
+            _BEND_RAD_M * _curvature_per_m(ego),
         )
         if not (math.isfinite(pitch_rad) and math.isfinite(sigma_rad)):
             return
-        rest = self.rest
-        if self._turned_ns is not None:
-            # What misleads one picture's lanes (a kerb, a car's side) misleads the next ones too: not independent witnesses.
-            since_s = (t_ns - self._seen_ns) * 1e-9 if self._seen_ns is not None else _LANE_MEMORY_S
-            sigma_rad *= math.sqrt(1.0 + 2.0 * _LANE_MEMORY_S / max(since_s, 0.03))
-        innovation = pitch_rad - rest.pitch_rad - float(self._state[0])
-        doubtful = innovation**2 > self._settings.gate_sigma**2 * (float(self._covariance[0, 0]) + sigma_rad**2)
-        if doubtful and not self._confirmed(pitch_rad, sigma_rad, t_ns):
-            return
+        about_rest = pitch_rad - self.rest.pitch_rad
+        if self._filter.off_by(about_rest, sigma_rad) > self._settings.gate_sigma:
+            if not self._confirmed(pitch_rad, sigma_rad, t_ns):
+                return
+            self._filter.reset()
         self._doubted = None
-        variance = float(self._covariance[0, 0]) + sigma_rad**2
-        gain = self._covariance[:, 0] / variance
-        self._state = self._state + gain * innovation
-        left = np.eye(2) - np.outer(gain, [1.0, 0.0])
-        self._covariance = left @ self._covariance @ left.T + np.outer(gain, gain) * sigma_rad**2
+        self._filter.take_pitch(about_rest, sigma_rad)
         if lanes.roll_rad is not None and lanes.roll_sigma_rad is not None:
             self._take_roll(lanes.roll_rad - self._calibrated[1], lanes.roll_sigma_rad)
         self._seen_ns, self._source = t_ns, lanes.source
         if self._straight(ego) and lanes.source == "lanes":
             before = self.rest.pitch_rad
             self._resting = self._resting.with_sample(pitch_rad, yaw_rad)
-            self._state[0] += before - self.rest.pitch_rad  # the pitch itself does not jump when its rest is corrected
+            self._filter.shift(self.rest.pitch_rad - before)
 
     def _confirmed(self, pitch_rad: float, sigma_rad: float, t_ns: int) -> bool:
-        """A far-off sighting is believed once the next one, soon after, agrees with it: clutter does not repeat itself."""
+        """A far-off sighting is believed once the next one agrees with it; against the picture's own movement, a few more."""
         before, self._doubted = self._doubted, (pitch_rad, sigma_rad, t_ns)
+        followed = self._moved_ns is not None and (t_ns - self._moved_ns) * 1e-9 <= self._settings.hold_s
+        self._witnesses += 1
         if before is None or (t_ns - before[2]) * 1e-9 > self._settings.hold_s:
             self._witnesses = 1
             return False
         dt_s = (t_ns - before[2]) * 1e-9
         moved_rad = self._settings.pitch_spread_rad * 2.0 * math.pi * self._settings.natural_hz * dt_s
-        agrees = abs(pitch_rad - before[0]) <= 2.0 * math.hypot(sigma_rad, before[1], min(moved_rad, 0.01))
-        self._witnesses = self._witnesses + 1 if agrees else 1
-        if self._witnesses < (2 if self._turned_ns is None else _WITNESSES_AGAINST_MOTION):
-            return False
-        self._covariance = self._at_rest()
-        return True
+        if abs(pitch_rad - before[0]) > 2.0 * math.hypot(sigma_rad, before[1], min(moved_rad, 0.01)):
+            self._witnesses = 1
+        return self._witnesses >= (_WITNESSES_AGAINST_MOTION if followed else 2)
 
     def _take_roll(self, roll_rad: float, sigma_rad: float) -> None:
         """Roll changes slowly against its calibration: a first-order filter of about a second at 10 Hz."""
@@ -204,21 +168,17 @@ class AttitudeEstimator:
         if self._seen_ns is not None and (t_ns - self._seen_ns) * 1e-9 <= self._settings.hold_s:
             source = self._source
         return Pose(
-            pitch_rad=rest.pitch_rad + float(self._state[0]),
+            pitch_rad=rest.pitch_rad + self._filter.pitch_rad,
             roll_rad=rest.roll_rad + self._roll[0],
             yaw_rad=rest.yaw_rad,
-            pitch_sigma_rad=math.sqrt(max(float(self._covariance[0, 0]), 0.0)),
+            pitch_sigma_rad=self._filter.sigma_rad,
             roll_sigma_rad=self._roll[1],
             source="network" if source == "network" else "lanes" if source == "lanes" else "none",
         )
 
 
-def oscillator(dt_s: float, natural_radps: float, damping: float) -> FloatArray:
-    """(2, 2) transition of x'' = -2 z w x' - w^2 x over dt, z < 1 (the standard underdamped solution)."""
-    swing = natural_radps * math.sqrt(1.0 - damping**2)
-    fade = math.exp(-damping * natural_radps * dt_s)
-    c, s = math.cos(swing * dt_s), math.sin(swing * dt_s)
-    ratio = damping * natural_radps / swing
-    free = np.array([[c + ratio * s, s / swing], [-(natural_radps**2) / swing * s, c - ratio * s]])
-    moved: FloatArray = fade * free
-    return moved
+def _curvature_per_m(ego: EgoState | None) -> float:
+    """Of the own path; 0 where it is not known."""
+    if ego is None or ego.yaw_rate_radps is None or ego.speed_mps < _LEAST_SPEED_MPS:
+        return 0.0
+    return abs(ego.yaw_rate_radps) / ego.speed_mps

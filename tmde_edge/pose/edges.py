@@ -115,12 +115,15 @@ def measured(grey: Image, pieces: FloatArray) -> Lines | None:
         rest = at - mean_at[:, None] - tilt[:, None] * (u - mean_u[:, None])
         scatter = np.maximum(np.sqrt((w * rest**2).sum(axis=1) / sw), 0.05)
         w = np.sqrt(mass) / (1.0 + (rest / (2.0 * scatter[:, None])) ** 2)
+    bent = (u**2) - ((w * u**2).sum(axis=1) / sw)[:, None]
+    bend = np.abs((w * rest * bent).sum(axis=1)) / np.maximum((w * bent**2).sum(axis=1), 1e-9)
     centre_at = mean_at - tilt * mean_u
     turned = direction + tilt[:, None] * normal
     turned /= np.linalg.norm(turned, axis=1)[:, None]
     # Neighbouring samples share pixels and paint defects: about one independent point in 6 px.
     independent = np.clip(length / 6.0, 2.0, _SAMPLES)
     sigma = np.hypot(scatter, _POINT_PX) * math.sqrt(12.0) / (length * np.sqrt(independent))
+    sigma = np.hypot(sigma, bend * length)  # the edge of a curve turns by that much from its middle to its ends
     kept = (scatter < 1.0) & (mass.mean(axis=1) > 2.0) & (np.abs(tilt) < 0.2)
     if not kept.any():
         return None

@@ -25,8 +25,10 @@ class PoseSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     damping: Annotated[float, Meta(gt=0, lt=1)] = 0.5  # of the same, as a fraction of critical
     gate_sigma: Positive = 2.0  # a vanishing point further off than this many sigma must be confirmed by the next one
     road_sigma_rad: NotNegative = 0.002  # of the road's slope ahead against the road under the car, one sigma
-    track_motion: bool = True  # follow the picture's own movement between frames; lanes then only correct its drift
-    slope_time_s: Positive = 8.0  # with it: how fast the road's slope, hence the pitch against it, changes unseen
+    track_motion: bool = True  # also follow the picture's own movement from frame to frame
+    offset_time_s: Positive = 4.0  # how long braking, load or the begin of a slope keep the pitch off its rest
+    road_turn_radps: Positive = 0.01  # one sigma of how fast the road itself turns up or down (crests, dips) ...
+    road_turn_time_s: Positive = 1.0  # ... and for how long it keeps on
     rest_sigma_rad: Positive = 0.006  # of the calibrated pitch and roll, until driving has confirmed them
     auto_calibrate: bool = True  # learn the resting pitch and yaw while driving straight
     calibrate_speed_mps: Positive = 7.0  # learn only at this speed or more ...
