@@ -47,7 +47,10 @@ def edges_towards(grey: Image, prior: FloatArray, reach_px: float) -> FloatArray
     strong = float(np.clip(np.percentile(strength[::2, ::2], 93.0), 24.0, 240.0))
     edges = cv2.Canny(dx, dy, 0.5 * strong, strong)
     # The line through (x, y) across its gradient misses the prior by |g . (p - prior)| / |g|; twice the reach sideways.
-    ys, xs = np.nonzero(edges)
+    places = cv2.findNonZero(edges)
+    if places is None:
+        return None
+    xs, ys = np.asarray(places, dtype=np.int64).reshape(-1, 2).T
     gx, gy = fx[ys, xs], fy[ys, xs]
     miss = np.abs(gx * (xs - prior[0]) + gy * (ys - prior[1]))
     far = np.hypot(xs - prior[0], ys - prior[1])
