@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -47,7 +48,7 @@ def edges_towards(grey: Image, prior: FloatArray, reach_px: float) -> FloatArray
     strong = float(np.clip(np.percentile(strength[::2, ::2], 93.0), 24.0, 240.0))
     edges = cv2.Canny(dx, dy, 0.5 * strong, strong)
     # The line through (x, y) across its gradient misses the prior by |g . (p - prior)| / |g|; twice the reach sideways.
-    places = cv2.findNonZero(edges)
+    places: Any = cv2.findNonZero(edges)  # None without any, whatever its stubs say
     if places is None:
         return None
     xs, ys = np.asarray(places, dtype=np.int64).reshape(-1, 2).T
