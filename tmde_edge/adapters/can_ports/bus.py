@@ -19,6 +19,7 @@ _RECEIVE_S = 0.2
 _SEND_S = 0.05
 _STALE_S = 1.0  # a stamp older than this, or from the future, tells that the wall clock was set
 _OPEN_PATIENCE_S = 5.0
+_CALM_S = 1.0
 _BUS_OFF = 0x40  # of an error frame's id (linux/can/error.h)
 _RESTARTED = 0x100
 
@@ -80,7 +81,7 @@ class CanPort:
         self._started_s = 0.0
         where = f"CAN {settings.interface} {settings.channel}"
         self._bus_fault = LastingFault(_log, where)
-        self._send_fault = LastingFault(_log, f"{where} sending")
+        self._send_fault = LastingFault(_log, f"{where} sending", _CALM_S)
         self._threads: list[threading.Thread] = []
 
     @property
@@ -196,7 +197,7 @@ class CanPort:
             self.counters.bus_off += 1
             self._send_fault.set("bus off: check bit rate, wiring and termination; it restarts by the system's RestartSec")
         elif flags & _RESTARTED:
-            self._send_fault.clear()
+            self._send_fault.clear(at_once=True)
 
     def _deliver(self, message: Any) -> None:
         t_ns, jumped = monotonic_from_wall(message.timestamp, time.time_ns(), time.monotonic_ns())

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import logging
+import time
 
 
 class LastingFault:
     """Turns many errors of one cause into two log lines."""
 
-    def __init__(self, log: logging.Logger, subject: str) -> None:
+    def __init__(self, log: logging.Logger, subject: str, calm_s: float = 0.0) -> None:
+        """`calm_s`: without errors for this long before it counts as recovered (so that a fault that flutters is one fault)."""
         self._log = log
         self._subject = subject
+        self._calm_s = calm_s
         self._count = 0
+        self._last_s = 0.0
 
     @property
     def present(self) -> bool:
@@ -20,13 +24,14 @@ class LastingFault:
 
     def set(self, text: str) -> None:
         """An error; only the first one is logged."""
+        self._last_s = time.monotonic()
         self._count += 1
         if self._count == 1:
             self._log.error("%s: %s", self._subject, text)
 
-    def clear(self) -> None:
+    def clear(self, *, at_once: bool = False) -> None:
         """It works (again)."""
-        if self._count:
+        if self._count and (at_once or time.monotonic() - self._last_s >= self._calm_s):
             self._log.warning("%s: works again after %d errors", self._subject, self._count)
             self._count = 0
 
