@@ -23,7 +23,13 @@ from tmde_edge.vision.sighting import is_blind, plate_sighting
 EARLY_NS = 2_000_000  # a search may run this much before it is due: frame times jitter
 LONGEST_STEP_NS = 1_000_000_000  # after a gap longer than this between frames no track is carried over
 VELOCITY_SHARE = 0.6  # of a new step in the smoothed image velocity
+SAME_STILL_IOU = 0.3  # finer looks at a still: overlap with a plate already read
 SAME_PLATE_IOU = 0.15  # overlap with the predicted box that makes a candidate the same plate
+
+
+def _joint_score(candidate: PlateCandidate, reading: PlateReading) -> float:
+    """The finder's and the reader's opinion together: the less sure of the two."""
+    return candidate.score if reading.platehood is None else min(candidate.score, reading.platehood)
 
 
 @dataclass(slots=True)
@@ -92,22 +98,30 @@ class Perception:
         if is_blind(image, self._detector.blind_contrast):
             return self._sighting(frame, "blind", (), (), True, "strict", timing)
         mode: Mode = "strict"
-        candidates = self._search.still(image, mode)
-        timing.done("detect")
-        plates = self._read_still(image, candidates)
-        timing.done("read")
-        return self._sighting(frame, "ok" if plates else "no_plate", plates, (), True, mode, timing)
-
-    def _read_still(self, image: Image, candidates: list[PlateCandidate]) -> tuple[PlateSighting, ...]:
-        best = sorted(candidates, key=lambda c: -c.score)[: self._detector.max_plates]
-        readings = self._reader.read(image, best)
-        return tuple(
+        found: list[tuple[PlateCandidate, PlateReading]] = []
+        for candidates in self._search.still(image, mode):
+            timing.done("detect")
+            known = [c for c, _ in found]
+            fresh = [c for c in candidates if all(box_iou(c.corners_px, k.corners_px) <= SAME_STILL_IOU for k in known)]
+            best = sorted(fresh, key=lambda c: -c.score)[: self._detector.max_plates]
+            found += zip(best, self._reader.read(image, best), strict=True)
+            timing.done("read")
+            if any(self._sure(c, r) for c, r in found):
+                break
+        plates = tuple(
             plate_sighting(
-                r, track_id=0, score=c.score, source="detector", shape=image.shape, settings=self._segmenter
+                r, track_id=0, score=_joint_score(c, r), source="detector", shape=image.shape, settings=self._segmenter
             )
-            for c, r in zip(best, readings, strict=True)
+            for c, r in found
             if self._credible(r)
         )
+        return self._sighting(frame, "ok" if plates else "no_plate", plates, (), True, mode, timing)
+
+    def _sure(self, candidate: PlateCandidate, reading: PlateReading) -> bool:
+        """Whether this is surely a plate, so that nothing finer needs to be looked at."""
+        if reading.platehood is None:
+            return candidate.score >= self._detector.confident_score
+        return reading.platehood >= self._detector.confident_score and candidate.score >= self._detector.score_min
 
     def see(self, frame: Frame) -> Sighting:
         """The next frame of a drive. Frames come in order of time; after a step back or a long gap all tracks are new."""

@@ -6,6 +6,7 @@ for, and the number of looks is bounded.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Protocol
 
 import cv2
@@ -33,8 +34,8 @@ class PlateSearch(Protocol):
         """A part of the frame; plate_width_px: the width to expect, None: full resolution."""
         ...
 
-    def still(self, image: Image, mode: Mode) -> list[PlateCandidate]:
-        """Everything worth looking at in one still."""
+    def still(self, image: Image, mode: Mode) -> Iterator[list[PlateCandidate]]:
+        """Looks at one still, from the whole to finer parts; the caller stops when it has seen enough."""
         ...
 
 
@@ -63,29 +64,22 @@ class NetworkSearch:
         scale = 1.0 if plate_width_px is None else min(1.0, self._settings.region_plate_px / plate_width_px)
         return self._detector.detect(image, region_px=region_px, scale=scale, score_min=self._score_min(mode))
 
-    def still(self, image: Image, mode: Mode) -> list[PlateCandidate]:
-        """The whole image at search width; then, where no sure plate shows, tiles at twice the resolution, and so on."""
-        score_min = self._score_min(mode)
-        found = self.frame(image, mode)
-        if not self._settings.still_second_look:
-            return found
-        looks = self._settings.still_tiles_max
+    def still(self, image: Image, mode: Mode) -> Iterator[list[PlateCandidate]]:
+        """The whole image at search width; then tiles at twice the resolution, and so on."""
+        yield self.frame(image, mode)
+        looks = self._settings.still_tiles_max if self._settings.still_second_look else 0
         scale = min(1.0, self._settings.search_width_px / image.shape[1])
-        while scale < 1.0 and not self._sure(found):
+        while scale < 1.0 and looks > 0:
             scale = min(1.0, 2 * scale)
             regions = tiles(image.shape[1], image.shape[0], scale)[:looks]
             looks -= len(regions)
+            found: list[PlateCandidate] = []
             for region in regions:
-                found = found + self._detector.detect(image, region_px=region, scale=scale, score_min=score_min)
-            if looks <= 0:
-                break
-        return without_doubles(found)
+                found += self._detector.detect(image, region_px=region, scale=scale, score_min=self._score_min(mode))
+            yield without_doubles(found)
 
     def _score_min(self, mode: Mode) -> float:
         return self._settings.score_min if mode == "strict" else self._settings.permissive_score_min
-
-    def _sure(self, found: list[PlateCandidate]) -> bool:
-        return any(c.score >= self._settings.confident_score for c in found)
 
 
 class PlainSearch:
@@ -101,14 +95,15 @@ class PlainSearch:
     def region(self, image: Image, region_px: Region, plate_width_px: float | None, mode: Mode) -> list[PlateCandidate]:
         return self._find(image, region_px, mode)
 
-    def still(self, image: Image, mode: Mode) -> list[PlateCandidate]:
+    def still(self, image: Image, mode: Mode) -> Iterator[list[PlateCandidate]]:
         """The image itself; huge ones scaled down."""
         scale = PLAIN_STILL_WIDTH_PX / image.shape[1]
         if scale >= 1:
-            return self._find(image, None, mode)
+            yield self._find(image, None, mode)
+            return
         small = np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), dtype=np.uint8)
         sx, sy = image.shape[1] / small.shape[1], image.shape[0] / small.shape[0]
-        return [
+        yield [
             PlateCandidate(corners_px=(c.corners_px + 0.5) * np.array([sx, sy]) - 0.5, score=c.score)
             for c in self._find(small, None, mode)
         ]
