@@ -43,7 +43,7 @@ class ScriptedSearch:
         return [] if self.blindfold else [p for p in self.plates if inside(p.corners_px.mean(axis=0))]
 
     def still(self, image, mode):
-        return list(self.plates)
+        yield list(self.plates)
 
 
 class EchoReader:
