@@ -30,7 +30,6 @@ _MISFIT_SIGMAS = 5.0  # a plate whose proportions differ this much from the lear
 _MISFITS_TO_RESET = 3
 _STRAIN = 1.3  # a fit under more strain asks for a second look from elsewhere
 _SHAPE_SLACK = 3.0  # the cheap look may be wrong by so much in log likelihood
-_FIRST_LOOK = 2  # a plate seen for the first time may cost more fits
 _UNASSIGNED_COST = 9.0  # of a glyph that fits no class of a standard
 _MISPLACED_COST = 3.0  # of a glyph of another height than the standard's layout has there
 
@@ -124,17 +123,17 @@ class Ranger:
         return None
 
     def _fit_all(self, features: Features, known: TrackScale | None, t_ns: int, scores: dict[str, _Score]) -> list[_Answer]:
-        """Fits the classes worth it: the most believed; on a followed track also one of the others in turn."""
+        """Fits the classes worth it; on a followed track the most believed and one of the others in turn.
+
+        The others stay in the mixture by their remembered ratio to the best, so a track costs two fits at most.
+        """
         order = sorted(scores, key=lambda k: -scores[k].belief)
-        slack = 0.0 if known is not None else _SHAPE_SLACK
-        floor = scores[order[0]].belief + float(np.log(self.settings.belief_floor)) - slack
+        floor = scores[order[0]].belief + float(np.log(self.settings.belief_floor)) - _SHAPE_SLACK
         worth = [k for k in order if scores[k].belief > floor]
         if known is None:
-            chosen = worth[: _FIRST_LOOK * self.settings.max_fits]
+            chosen = worth[: self.settings.max_fits]
         else:
-            chosen, rest = worth[: self.settings.max_fits], order[len(worth[: self.settings.max_fits]) :]
-            rest = [k for k in rest if scores[k].belief > floor - _SHAPE_SLACK]
-            chosen += [rest[known.frames % len(rest)]] if rest else []
+            chosen = worth[:1] + ([worth[1 + known.frames % (len(worth) - 1)]] if len(worth) > 1 else [])
         answers = (self._fit(self._classes[k], features, known, t_ns, scores[k].layout) for k in chosen)
         return [a for a in answers if a is not None]
 

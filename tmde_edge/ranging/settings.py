@@ -30,6 +30,6 @@ class RangingSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     roll_sigma_rad: Positive = 0.10
     yaw_rate_sigma_radps: Positive = 0.15  # how fast a followed plate may turn
     belief_floor: Positive = 0.02  # standards less probable than this are not fitted
-    max_fits: Annotated[int, msgspec.Meta(ge=1, le=16)] = 4  # how many standards are fitted to one plate
+    max_fits: Annotated[int, msgspec.Meta(ge=1, le=16)] = 8  # how many standards are fitted to a plate seen for the first time
     memory: bool = True  # learn a track's own proportions
     memory_share: Annotated[float, msgspec.Meta(gt=0, le=1)] = 0.2  # information of one frame that is new to a track
