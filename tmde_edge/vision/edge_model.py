@@ -19,7 +19,7 @@ THICKNESS, THICKNESS_SIGMA = 0.030, 0.010
 MARGIN, MARGIN_SIGMA = 0.018, 0.008
 SPREAD_PX, SPREAD_LOG_SIGMA = 0.65, 0.35  # lens, sensor and demosaicing
 LINE_LEVEL_SIGMA = 25.0  # grey levels; the line has the ink's colour
-ITERATIONS = 12
+ITERATIONS = 8
 NOISE_GREY = 1.5  # of an averaged profile at least: uneven paint and light
 X, T, M, S, G, K, B = range(7)  # columns of the parameters
 
@@ -48,14 +48,15 @@ def fit_edges(
     p, prior, weight = _start(y, start_px, border, height_px, ink_level, x_sigma_px)
     noise = np.maximum(NOISE_GREY, 0.02 * np.ptp(y, axis=1))
     inside = _window(offsets_px, np.concatenate([start_px, start_px]), height_px)
+    seen = inside.any(axis=0)
+    y, offsets_px, inside = y[:, seen], offsets_px[seen], inside[:, seen]
     damping = np.full(2 * n, 1e-2)
     cost, jacobian, residual = _evaluate(p, y, offsets_px, inside, noise, prior, weight)
     for _ in range(ITERATIONS):
-        normal = np.einsum("nmi,nmj->nij", jacobian, jacobian)
-        normal[:, range(7), range(7)] += weight**2
-        gradient = np.einsum("nmi,nm->ni", jacobian, residual) + weight**2 * (p - prior)
-        damped = normal.copy()
-        damped[:, range(7), range(7)] *= 1 + damping[:, None]
+        across = jacobian.transpose(0, 2, 1)
+        damped = across @ jacobian
+        damped[:, _ALL, _ALL] = (damped[:, _ALL, _ALL] + weight**2) * (1 + damping[:, None])
+        gradient = (across @ residual[..., None])[..., 0] + weight**2 * (p - prior)
         step = np.linalg.solve(damped, gradient[..., None])[..., 0]
         trial = p - np.clip(step, -_LIMIT, _LIMIT)
         trial[:, S] = np.clip(trial[:, S], np.log(0.3), np.log(3.0))
@@ -64,8 +65,8 @@ def fit_edges(
         damping = np.where(better, damping * 0.2, damping * 8)
         p[better], cost[better] = trial[better], t_cost[better]
         jacobian[better], residual[better] = t_jacobian[better], t_residual[better]
-    normal = np.einsum("nmi,nmj->nij", jacobian, jacobian)
-    normal[:, range(7), range(7)] += weight**2
+    normal = jacobian.transpose(0, 2, 1) @ jacobian
+    normal[:, _ALL, _ALL] += weight**2
     covariance = np.linalg.inv(normal)
     count = inside.sum(axis=1)
     fits = [
@@ -78,6 +79,7 @@ def fit_edges(
     return [(fits[i], fits[n + i]) for i in range(n)]
 
 
+_ALL = np.arange(7)
 _LIMIT = np.array([1.0, 0.6, 0.6, 0.3, 60.0, 60.0, 60.0])  # of one step
 
 

@@ -22,6 +22,7 @@ MIN_REACH_PX = 2.5
 TILT_OF_HEIGHT = 0.12  # how much the two ends of a side may move against each other
 MIN_STEP_GREY = 8.0  # contrast over the edge, grey levels
 STEP_SHARE = 0.14  # of the profile's whole contrast: smaller steps are noise
+BORDER_OF_HEIGHT = 0.08  # border line and margin, in plate heights
 GIVEN_OF_HEIGHT = 0.06  # one sigma of the given outline, in plate heights
 PIECES = 10  # a side is measured in this many pieces
 FLOOR_PX = 0.05  # of one side's sigma: sampling and lens, which no residual shows
@@ -56,11 +57,17 @@ def refine_outline(image: Image, corners_px: Array, given_sigma_px: float | None
     if not is_convex(corners_px):
         return OutlineFit(corners_px=corners_px, sigma_px=MIN_REACH_PX, refined=False, blur_px=None)
     height_px = size_px(corners_px)[1]
-    reach = max(MIN_REACH_PX, REACH_OF_HEIGHT * height_px)
+    reach, tilt_px = REACH_OF_HEIGHT * height_px, TILT_OF_HEIGHT * height_px
+    if given_sigma_px is not None:  # a good outline needs only its border's width, and its own doubt
+        reach = min(reach, BORDER_OF_HEIGHT * height_px + 4 * given_sigma_px)
+        tilt_px = min(tilt_px, max(1.0, 4 * given_sigma_px))
+    reach = max(MIN_REACH_PX, reach)
     patch, shift = _patch(image, corners_px, 1.5 * reach + 4)
     if _dark_ground(patch, corners_px - shift):
         patch = 255.0 - patch
-    sides = _fit_sides(patch, corners_px - shift, reach, height_px, given_sigma_px or GIVEN_OF_HEIGHT * height_px)
+    sides = _fit_sides(
+        patch, corners_px - shift, reach, tilt_px, height_px, given_sigma_px or GIVEN_OF_HEIGHT * height_px
+    )
     lines = []
     for i, side in enumerate(sides):
         a, b = corners_px[i], corners_px[(i + 1) % 4]
@@ -140,13 +147,15 @@ def _derivative(grey: Array, step_px: float, smooth_px: float) -> Array:
     x = np.arange(-half, half + 1) * step_px
     gauss = np.exp(-0.5 * (x / smooth_px) ** 2)
     kernel = (x / smooth_px**2 * gauss / gauss.sum()).astype(np.float64)
+    if grey.size == 0:  # no profile lies inside the image
+        return np.zeros(grey.shape)
     flat = np.atleast_2d(grey)
     out = cv2.filter2D(flat, cv2.CV_64F, kernel[None, :], borderType=cv2.BORDER_REPLICATE)
     return np.asarray(out, dtype=np.float64).reshape(grey.shape)
 
 
 def _fit_sides(
-    patch: NDArray[np.float32], corners_px: Array, reach: float, height_px: float, given_sigma_px: float
+    patch: NDArray[np.float32], corners_px: Array, reach: float, tilt_px: float, height_px: float, given_sigma_px: float
 ) -> list[_Side | None]:
     """The plate's edge near each side: direction, the first step's pieces, then the edge model; None where none shows."""
     step = max(STEP_PX, reach / 48)
@@ -155,7 +164,7 @@ def _fit_sides(
     profiles, starts = [], []
     for i in range(4):
         a, b = corners_px[i], corners_px[(i + 1) % 4]
-        found = _first_step(patch, a, b, reach, height_px, across)
+        found = _first_step(patch, a, b, reach, tilt_px, across)
         inner.append(None if found is None else found[0])
         if found is not None:
             profiles.append(found[1])
@@ -186,16 +195,16 @@ def _fit_sides(
 
 
 def _first_step(
-    patch: NDArray[np.float32], a: Array, b: Array, reach: float, height_px: float, across: Array
+    patch: NDArray[np.float32], a: Array, b: Array, reach: float, tilt_px: float, across: Array
 ) -> tuple[_Side, Array] | None:
     """The first edge outward from the ground as a line, and the mean profile along it; None where there is none."""
     length = float(np.hypot(*(b - a)))
-    guess = _direction(patch, a, b, reach, TILT_OF_HEIGHT * height_px)
+    guess = _direction(patch, a, b, reach, tilt_px)
     if guess is None:
         return None
     rows = int(np.clip(length, 24, 72))
     _, grey = _profiles(patch, a, b, rows, across, (0.0, guess[1]))
-    offset = first_step(np.median(grey, axis=0), across)
+    offset = first_step(_middle(grey), across)
     if offset is None:
         return None
     fine = np.asarray(np.arange(-16, 17) * STEP_PX, np.float64)
@@ -205,7 +214,14 @@ def _first_step(
     if side is None:
         return None
     _, grey = _profiles(patch, a, b, rows, across, (0.0, side.at_end_px - side.at_start_px))
-    return side, np.asarray(np.median(grey, axis=0), dtype=np.float64)
+    return side, _middle(grey)
+
+
+def _middle(rows: Array) -> Array:
+    """(m,) mean of the middle half of each column's values: a median with less noise, and quicker."""
+    n = len(rows)
+    ranked = np.sort(rows, axis=0)
+    return np.asarray(ranked[n // 4 : max(n // 4 + 1, n - n // 4)].mean(axis=0))
 
 
 def _ink_level(patch: NDArray[np.float32], corners_px: Array) -> float:
@@ -292,28 +308,26 @@ def _measure(along: Array, offsets: Array, slope: Array, line_px: tuple[float, f
     if len(along) < 2 * PIECES:
         return None
     middle = len(offsets) // 2
-    near = slice(middle - 2, middle + 3)
-    sign = 1.0 if slope[:, near].mean() >= 0 else -1.0
-    window = slice(middle - 6, middle + 7)
-    xs, ys, ws = [], [], []
-    for part in np.array_split(np.arange(len(along)), PIECES):
-        mean = sign * slope[part, window].mean(axis=0)
-        k = int(mean.argmax())
-        if k in (0, len(mean) - 1) or mean[k] < MIN_STEP_GREY / 8:
-            continue
-        before, c, after = mean[k - 1 : k + 2]
-        x = float(along[part].mean())
-        xs.append(x)
-        peak = offsets[window][k] + 0.5 * (before - after) / (before - 2 * c + after) * STEP_PX
-        ys.append(float(line_px[0] + x * line_px[1] + peak))
-        ws.append(float(np.sqrt(c)))
-    if len(xs) < max(4, PIECES // 2):
+    sign = 1.0 if slope[:, middle - 2 : middle + 3].mean() >= 0 else -1.0
+    rows = len(along) // PIECES * PIECES  # a few rows at the end are left out
+    window = sign * slope[:rows, middle - 6 : middle + 7]
+    pieces = window.reshape(PIECES, -1, window.shape[1]).mean(axis=1)
+    k = pieces.argmax(axis=1)
+    piece = np.arange(PIECES)
+    top = pieces[piece, k]
+    good = (k > 0) & (k < pieces.shape[1] - 1) & (top >= MIN_STEP_GREY / 8)
+    if good.sum() < max(4, PIECES // 2):
         return None
-    fit = _tukey_line(np.array(xs), np.array(ys), np.array(ws))
+    piece, k, top = piece[good], k[good], top[good]
+    before, after = pieces[piece, k - 1], pieces[piece, k + 1]
+    x = along[:rows].reshape(PIECES, -1).mean(axis=1)[piece]
+    peak = offsets[middle - 6 + k] + 0.5 * (before - after) / (before - 2 * top + after) * STEP_PX
+    y = line_px[0] + x * line_px[1] + peak
+    fit = _tukey_line(x, y, np.sqrt(top))
     if fit is None:
         return None
     at, tilt, sigma = fit
-    peak_slope = sign * slope[:, window].mean(axis=0)
+    peak_slope = window.mean(axis=0)
     spread = float(np.clip(peak_slope, 0, None).sum() * STEP_PX / (np.sqrt(2 * np.pi) * max(peak_slope.max(), 1e-6)))
     return _Side(
         at_start_px=at - 0.5 * tilt,
@@ -326,16 +340,17 @@ def _measure(along: Array, offsets: Array, slope: Array, line_px: tuple[float, f
 def _tukey_line(x: Array, y: Array, weight: Array) -> tuple[float, float, float] | None:
     """Robust line y = at + tilt x: (at, tilt, sigma of the line at its ends); None where fewer than 4 points agree."""
     robust = np.ones_like(x)
-    at, tilt, scale = float(np.median(y)), 0.0, 1.0
-    for _ in range(8):
+    at, tilt = float(np.sort(y)[len(y) // 2]), 0.0
+    for _ in range(5):
         w = weight * robust
         total = w.sum()
-        mx, my = (w * x).sum() / total, (w * y).sum() / total
-        sxx = (w * (x - mx) ** 2).sum()
-        tilt = float((w * (x - mx) * (y - my)).sum() / sxx) if sxx > 1e-12 else 0.0
+        mx, my = float(w @ x) / total, float(w @ y) / total
+        dx = x - mx
+        sxx = float(w @ (dx * dx))
+        tilt = float(w @ (dx * (y - my))) / sxx if sxx > 1e-12 else 0.0
         at = float(my - tilt * mx)
-        residual = y - at - tilt * x
-        scale = max(1.4826 * float(np.median(np.abs(residual))), 0.03)
+        residual = np.abs(y - at - tilt * x)
+        scale = max(1.4826 * float(np.sort(residual)[len(x) // 2]), 0.03)
         robust = np.clip(1 - (residual / (4.685 * scale)) ** 2, 0, None) ** 2
         if (robust > 0.2).sum() < 4:
             return None

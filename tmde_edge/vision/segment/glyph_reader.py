@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -13,7 +14,7 @@ from tmde_edge.vision.rectify import apply_homography, is_convex, size_px
 from tmde_edge.vision.refine import OutlineFit, refine_outline
 from tmde_edge.vision.segment.glyph_decode import Glyph, GlyphReading
 from tmde_edge.vision.segment.measure import border_thickness, box_edges, ink_mask, stroke_width
-from tmde_edge.vision.segment.paper import FlatView, flatten
+from tmde_edge.vision.segment.paper import FlatView, flatten, main_class
 from tmde_edge.vision.settings import SegmenterSettings
 
 Array = NDArray[np.float64]
@@ -58,14 +59,15 @@ class GlyphReader:
         strokes = [stroke_width(ink_mask(view.grey, b, reading.light_on_dark)) / view.per_px for b in edges]
         main_strokes = [s for s, g in zip(strokes, reading.glyphs, strict=True) if g.main and s > 0]
         border = border_thickness(view.grey, reading.light_on_dark)
+        characters = tuple(
+            _character(g, e, view, s, stroke)
+            for g, e, s, stroke in zip(reading.glyphs, edges, sigma, strokes, strict=True)
+        )
         return PlateReading(
             corners_px=fit.corners_px,
             corners_sigma_px=fit.sigma_px,
             refined=fit.refined,
-            characters=tuple(
-                _character(g, e, view, s, stroke)
-                for g, e, s, stroke in zip(reading.glyphs, edges, sigma, strokes, strict=True)
-            ),
+            characters=_classed(characters),
             platehood=reading.platehood,
             light_on_dark=reading.light_on_dark,
             stroke_px=float(np.median(main_strokes)) if main_strokes else None,
@@ -82,6 +84,15 @@ class GlyphReader:
         if not fit.refined or moved > MOVED_SIGMAS * max(given.sigma_px, fit.sigma_px):
             return given
         return fit if fit.sigma_px <= given.sigma_px else given
+
+
+def _classed(characters: tuple[CharacterBox, ...]) -> tuple[CharacterBox, ...]:
+    """The tallest height class again, from measured heights, where these are surer than the classes are apart."""
+    heights = np.array([np.hypot(*(c.bottom_px - c.top_px)) for c in characters], np.float64)
+    sigmas = np.array([np.sqrt(2) * c.sigma_tb_px for c in characters])
+    if np.median(sigmas) > 0.04 * np.median(heights):
+        return characters
+    return tuple(replace(c, main=bool(m)) for c, m in zip(characters, main_class(heights), strict=True))
 
 
 def _plain(fit: OutlineFit, reading: GlyphReading) -> PlateReading:
