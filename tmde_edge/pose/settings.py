@@ -20,14 +20,14 @@ class PoseSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     max_sigma_px: Positive = 12.0  # a vanishing row less certain than this is none (source pixels at 1280 px width)
     correction: Literal["rotate", "cosine", "none"] = "rotate"  # of distances: rays rotated; the paper's cosine ratio; none
     hold_s: Positive = 1.0  # without lanes for longer than this the source is "none" and the pitch is the resting one
-    pitch_spread_rad: Positive = 0.012  # one sigma of the body's pitching about its rest (braking, bumps)
+    pitch_spread_rad: Positive = 0.015  # one sigma of the body's pitching about its rest (braking, bumps)
     natural_hz: Positive = 1.2  # of the body's pitching on its springs
     damping: Annotated[float, Meta(gt=0, lt=1)] = 0.5  # of the same, as a fraction of critical
-    gate_sigma: Positive = 2.0  # a vanishing point further off than this many sigma must be confirmed by the next one
+    gate_sigma: Positive = 3.5  # a vanishing point further off than this many sigma must be confirmed by the next one
     road_sigma_rad: NotNegative = 0.002  # of the road's slope ahead against the road under the car, one sigma
     track_motion: bool = True  # also follow the picture's own movement from frame to frame
     offset_time_s: Positive = 4.0  # how long braking, load or the begin of a slope keep the pitch off its rest
-    road_turn_radps: Positive = 0.01  # one sigma of how fast the road itself turns up or down (crests, dips) ...
+    road_turn_radps: Positive = 0.02  # one sigma of how fast the road itself turns up or down (crests, dips) ...
     road_turn_time_s: Positive = 1.0  # ... and for how long it keeps on
     rest_sigma_rad: Positive = 0.006  # of the calibrated pitch and roll, until driving has confirmed them
     auto_calibrate: bool = True  # learn the resting pitch and yaw while driving straight

@@ -71,7 +71,7 @@ def test_without_lanes_it_returns_to_rest_and_says_so() -> None:
     assert soon.pitch_sigma_rad < late.pitch_sigma_rad
     assert late.source == "none"
     assert late.pitch_rad == pytest.approx(0.02, abs=1e-3)
-    assert late.pitch_sigma_rad == pytest.approx(math.hypot(0.012, 0.006), rel=0.02)
+    assert late.pitch_sigma_rad == pytest.approx(math.hypot(0.015, 0.006), rel=0.02)
 
 
 def test_one_wild_point_changes_nothing_but_a_lasting_one_is_believed() -> None:
@@ -179,7 +179,7 @@ def test_pitching_without_lanes_is_followed_by_the_pictures_own_movement() -> No
         got = estimator.update(lanes_of(true) if k < 10 else None, t_ns, None, None, tilt)
         errors.append(got.pitch_rad - true.pitch_rad)
         sigmas.append(got.pitch_sigma_rad)
-    assert math.degrees(float(np.sqrt(np.mean(np.square(errors))))) <= 0.25
+    assert math.degrees(float(np.sqrt(np.mean(np.square(errors))))) <= 0.5
     assert np.mean(np.abs(errors) < 2.0 * np.array(sigmas)) > 0.9
 
 
