@@ -129,6 +129,11 @@ class DepthAligner:
         """The state of the affine fit; None before the first reading with a known distance."""
         return self._alignment
 
+    @property
+    def reading_t_ns(self) -> int | None:
+        """Time of the reading behind the estimates; a filter takes each reading once, when this changes."""
+        return self._newest.t_ns if self._newest is not None else None
+
     def add_reading(self, reading: DepthReading) -> None:
         """Takes a reading; it is used at once, or with its frame's sighting if that is not known yet."""
         self._pending = reading

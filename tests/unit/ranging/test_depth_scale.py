@@ -174,7 +174,9 @@ def test_old_dead_or_unmatched_readings_say_nothing() -> None:
     aligner = DepthAligner(DepthSettings(kind="recorded"), HEIGHT_M)
     good = reading(0, inverse_scene(20.0), 0.004, 0.0, rng)
     aligner.add_reading(good)
+    assert aligner.reading_t_ns is None
     assert aligner.update(sighting(0, 20.0), CAMERA, LEVEL, {7: 20.0}, 7) is not None
+    assert aligner.reading_t_ns == 0
     assert aligner.update(sighting(SECOND_NS // 2, 20.0), CAMERA, LEVEL, {7: 20.0}, None) is None
     assert aligner.update(sighting(SECOND_NS // 2, 20.0), CAMERA, LEVEL, {7: 20.0}, 99) is None
     assert aligner.update(sighting(2 * SECOND_NS, 20.0), CAMERA, LEVEL, {7: 20.0}, 7) is None
