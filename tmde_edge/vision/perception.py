@@ -28,8 +28,8 @@ SAME_PLATE_IOU = 0.15  # overlap with the predicted box that makes a candidate t
 
 
 def _joint_score(candidate: PlateCandidate, reading: PlateReading) -> float:
-    """The finder's and the reader's opinion together: the less sure of the two."""
-    return candidate.score if reading.platehood is None else min(candidate.score, reading.platehood)
+    """Finder and reader together: the geometric mean of their opinions; the finder's where the reader has none."""
+    return candidate.score if reading.platehood is None else float(np.sqrt(candidate.score * reading.platehood))
 
 
 @dataclass(slots=True)
@@ -108,14 +108,20 @@ class Perception:
             timing.done("read")
             if any(self._sure(c, r) for c, r in found):
                 break
-        plates = tuple(
-            plate_sighting(
-                r, track_id=0, score=_joint_score(c, r), source="detector", shape=image.shape, settings=self._segmenter
-            )
-            for c, r in found
-            if self._credible(r)
-        )
-        return self._sighting(frame, "ok" if plates else "no_plate", plates, (), True, mode, timing)
+        plates: list[PlateSighting] = []
+        shown: list[PlateReading] = []
+        for c, r in sorted(found, key=lambda pair: -_joint_score(*pair)):
+            # two candidates may turn out to be one plate once their corners are read
+            double = any(box_iou(r.corners_px, s.corners_px) > SAME_STILL_IOU for s in shown)
+            if self._credible(r) and not double:
+                shown.append(r)
+                score = _joint_score(c, r)
+                plates.append(
+                    plate_sighting(
+                        r, track_id=0, score=score, source="detector", shape=image.shape, settings=self._segmenter
+                    )
+                )
+        return self._sighting(frame, "ok" if plates else "no_plate", tuple(plates), (), True, mode, timing)
 
     def _sure(self, candidate: PlateCandidate, reading: PlateReading) -> bool:
         """Whether this is surely a plate, so that nothing finer needs to be looked at."""
@@ -239,18 +245,18 @@ class Perception:
             credible = self._credible(reading)
             if i in matched and credible:
                 self._hit(track, matched[i], reading, t_ns, step_ns)
-                plates += self._report(track, reading, wanted[i].score, "detector", image)
+                plates += self._report(track, reading, track.score, "detector", image)
             elif steps[i] is not None and track.id and self._inside(track, image):
                 carried = reading if credible and reading.refined else _bare(track, reading)
                 self._carry(track, carried, step_ns)
                 plates += self._report(track, carried, wanted[i].score, "flow", image)
         for candidate, reading in zip(fresh, readings[len(tracks) :], strict=True):
             if self._credible(reading) and is_convex(reading.corners_px):
-                track = _Track(corners_px=reading.corners_px, score=candidate.score, seen_ns=t_ns)
+                track = _Track(corners_px=reading.corners_px, score=_joint_score(candidate, reading), seen_ns=t_ns)
                 track.sigma_px = reading.corners_sigma_px
                 self._tracks.append(track)
                 self._confirm(track)
-                plates += self._report(track, reading, candidate.score, "detector", image)
+                plates += self._report(track, reading, track.score, "detector", image)
         return tuple(plates)
 
     def _faded(self, track: _Track, t_ns: int) -> float:
@@ -270,7 +276,7 @@ class Perception:
         self, track: _Track, candidate: PlateCandidate, reading: PlateReading, t_ns: int, step_ns: int
     ) -> None:
         self._carry(track, reading, step_ns)
-        track.score, track.seen_ns, track.hits = candidate.score, t_ns, track.hits + 1
+        track.score, track.seen_ns, track.hits = _joint_score(candidate, reading), t_ns, track.hits + 1
         track.sigma_px = reading.corners_sigma_px
         self._confirm(track)
 

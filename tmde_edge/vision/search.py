@@ -20,6 +20,8 @@ from tmde_edge.vision.settings import DetectorSettings
 Region = tuple[int, int, int, int]  # x0, y0, x1, y1, half open, inside the image
 TILE_PX = (640, 384)  # one look of a network, in scaled pixels
 TILE_OVERLAP = 0.2
+NEAR_SCALE = 0.4  # of the whole view's scale: plates that fill half of the picture and more
+TALLEST_ASPECT = 0.75  # height / width; taller pictures are searched at a smaller scale
 PLAIN_STILL_WIDTH_PX = 1600  # finders without a scale of their own see stills scaled down to this
 
 
@@ -57,26 +59,37 @@ class NetworkSearch:
         self._settings = settings
 
     def frame(self, image: Image, mode: Mode) -> list[PlateCandidate]:
-        scale = min(1.0, self._settings.search_width_px / image.shape[1])
-        return self._detector.detect(image, scale=scale, score_min=self._score_min(mode))
+        """The frame at search width; where that shows nothing, also smaller, for plates that fill it."""
+        scale, score_min = self._whole_scale(image.shape[1], image.shape[0]), self._score_min(mode)
+        found = self._detector.detect(image, scale=scale, score_min=score_min)
+        return found or self._detector.detect(image, scale=scale * NEAR_SCALE, score_min=score_min)
 
     def region(self, image: Image, region_px: Region, plate_width_px: float | None, mode: Mode) -> list[PlateCandidate]:
         scale = 1.0 if plate_width_px is None else min(1.0, self._settings.region_plate_px / plate_width_px)
         return self._detector.detect(image, region_px=region_px, scale=scale, score_min=self._score_min(mode))
 
     def still(self, image: Image, mode: Mode) -> Iterator[list[PlateCandidate]]:
-        """The whole image at search width; then tiles at twice the resolution, and so on."""
-        yield self.frame(image, mode)
-        looks = self._settings.still_tiles_max if self._settings.still_second_look else 0
-        scale = min(1.0, self._settings.search_width_px / image.shape[1])
+        """The whole image at search width; smaller, for plates that fill it; then tiles at ever higher resolution."""
+        width, height = image.shape[1], image.shape[0]
+        scale = self._whole_scale(width, height)
+        yield self._detector.detect(image, scale=scale, score_min=self._score_min(mode))
+        if not self._settings.still_second_look:
+            return
+        yield self._detector.detect(image, scale=scale * NEAR_SCALE, score_min=self._score_min(mode))
+        looks = self._settings.still_tiles_max
         while scale < 1.0 and looks > 0:
             scale = min(1.0, 2 * scale)
-            regions = tiles(image.shape[1], image.shape[0], scale)[:looks]
+            regions = tiles(width, height, scale)[:looks]
             looks -= len(regions)
             found: list[PlateCandidate] = []
             for region in regions:
                 found += self._detector.detect(image, region_px=region, scale=scale, score_min=self._score_min(mode))
             yield without_doubles(found)
+
+    def _whole_scale(self, width_px: int, height_px: int) -> float:
+        """The whole image at search width, but at no more pixels than a landscape picture of that width has."""
+        wide = self._settings.search_width_px
+        return min(1.0, wide / width_px, wide * float(np.sqrt(TALLEST_ASPECT / (width_px * height_px))))
 
     def _score_min(self, mode: Mode) -> float:
         return self._settings.score_min if mode == "strict" else self._settings.permissive_score_min

@@ -16,10 +16,10 @@ class DetectorSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     """Which finder, where and how often it looks, and when a plate counts as seen."""
 
     kind: Literal["platenet", "contour", "onnx"] = "platenet"  # our network, the paper, a network of yours
-    score_min: Fraction = 0.5  # candidates below this are not plates (strict mode)
-    permissive_score_min: Fraction = 0.35  # the same in permissive mode
+    score_min: Fraction = 0.42  # candidates below this are not plates (strict mode)
+    permissive_score_min: Fraction = 0.3  # the same in permissive mode
     permissive_after_frames: PositiveInt = 30  # without a plate: permissive; strict again on success
-    confident_score: Fraction = 0.9  # a new plate this sure is reported at once; others when seen confirm_hits times
+    confident_score: Fraction = 0.8  # a new plate this sure is reported at once; others when seen confirm_hits times
     confirm_hits: PositiveInt = 2  # sightings by the detector before a less sure plate is reported
     max_plates: PositiveInt = 8  # followed at once
 
@@ -61,7 +61,7 @@ class SegmenterSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields
     kind: Literal["glyphnet", "paper"] = "glyphnet"  # our network, or the paper's Algorithm 2 (two thresholds)
     trim_k: Annotated[int, Meta(ge=0, le=10)] = 0  # the mean leaves out the k tallest and k shortest (paper: 2)
     min_characters: Annotated[int, Meta(ge=0)] = 3  # fewer than this give no character height
-    platehood_min: Fraction = 0.3  # a reader that is less sure than this that it reads a plate rejects the candidate
+    platehood_min: Fraction = 0.5  # a reader that is less sure than this that it reads a plate rejects the candidate
     refine: bool = True  # sub-pixel plate outline in the source image
 
 
