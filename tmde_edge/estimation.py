@@ -121,7 +121,7 @@ class Estimation:
         self._last_frame_ns = s.t_ns
         self._frame_times_ns = [*self._frame_times_ns[-30:], s.t_ns]
         self._refresh_ego(s.t_ns)
-        self._pose = self._p.attitude.update(s.lanes, s.t_ns, self._ego, (s.width_px, s.height_px))
+        self._pose = self._p.attitude.update(s.lanes, s.t_ns, self._ego, (s.width_px, s.height_px), s.tilt)
         self._tracker.predict(s.t_ns)
         camera = self._p.camera.scaled_to(s.width_px, s.height_px) if self._p.camera is not None else None
         measured: dict[int, tuple[PlateSighting, RangeMeasurement | None, str | None]] = {}

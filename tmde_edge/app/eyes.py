@@ -10,6 +10,7 @@ from tmde_edge.messages import Frame, LaneSighting, Point, Pose, Sighting
 from tmde_edge.pose.compensate import vanishing_point_px
 from tmde_edge.pose.lanes import LaneFinder
 from tmde_edge.pose.settings import PoseSettings
+from tmde_edge.pose.tilt import TiltMeter
 from tmde_edge.vision.perception import EARLY_NS, Perception
 
 
@@ -25,6 +26,7 @@ class Eyes:
     ) -> None:
         self._perception = perception
         self._lanes = LaneFinder(pose) if pose.method != "none" else None
+        self._tilt = TiltMeter()
         self._period_ns = round(1e9 / pose.rate_hz)
         self._prior_px = prior_px
         self._clock_ns = clock_ns
@@ -33,18 +35,20 @@ class Eyes:
     def see(self, frame: Frame) -> Sighting:
         """The next frame of a drive, in order of time."""
         sighting = self._perception.see(frame)
-        due = self._looked_ns is None or not -EARLY_NS <= frame.t_ns - self._looked_ns < self._period_ns - EARLY_NS
-        if self._lanes is None or sighting.status == "blind" or not due:
+        if self._lanes is None or sighting.status == "blind":
             return sighting
-        self._looked_ns = frame.t_ns
         start_ns = self._clock_ns()
         prior = self._prior_px(frame.image.shape[1], frame.image.shape[0])
-        lanes: LaneSighting | None = self._lanes.see(frame.image, frame.t_ns, prior)
+        tilt = self._tilt.see(frame.image, frame.t_ns, prior)
+        lanes: LaneSighting | None = None
+        if self._looked_ns is None or not -EARLY_NS <= frame.t_ns - self._looked_ns < self._period_ns - EARLY_NS:
+            self._looked_ns = frame.t_ns
+            lanes = self._lanes.see(frame.image, frame.t_ns, prior)
         took_ms = (self._clock_ns() - start_ns) * 1e-6
         timing = dict(sighting.timing_ms)
-        timing["lanes"] = took_ms
+        timing["pose"] = took_ms
         timing["total"] = timing.get("total", 0.0) + took_ms
-        return replace(sighting, lanes=lanes, timing_ms=timing)
+        return replace(sighting, lanes=lanes, tilt=tilt, timing_ms=timing)
 
     def see_still(self, frame: Frame) -> Sighting:
         """A picture by itself."""

@@ -111,6 +111,9 @@ class Face:
         )
 
 
+_SEPARATOR_MM = {"bar": 15.0, "dot": 11.0, "seal": 34.0, "emblem": 30.0, "tab": 30.0, "shape": 26.0}
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Type:
     """Letter sizes of a row, mm."""
@@ -183,7 +186,7 @@ def row_of(
         elif char == "_":
             advance.append((char, size.group * 0.5))
         elif char == "-":
-            advance.append((char, {"bar": 15.0, "dot": 11.0, "seal": 34.0, "emblem": 30.0}.get(hyphen, size.group)))
+            advance.append((char, _SEPARATOR_MM.get(hyphen, size.group)))
         elif char == "I":
             advance.append((char, size.stroke if chance(rng, 0.7) else 2.2 * size.stroke))
         elif char == "1":
@@ -230,12 +233,12 @@ def _separator(rng: np.random.Generator, face: Face, kind: str, x: float, width:
     elif kind == "dot":
         face.mark("disc", x, middle - width / 2, width, width, face.ink_bgr)
     elif kind == "seal":
-        d = width * 0.95
-        for y in (middle - d * 1.1, middle + d * 0.1):
-            colour = near(rng, (60, 120, 60), 60)
-            face.mark("disc", x, y, d, d, colour)
-            face.mark("disc", x, y, d, d, near(rng, (150, 150, 150), 50), stroke=d * 0.12)
-            face.mark("rect", x + d * 0.3, y + d * 0.3, d * 0.4, d * 0.4, near(rng, (120, 170, 200), 60))
+        seals(rng, face, x, width, middle, size)
+    elif kind == "tab":  # a renewal sticker between the groups, as tall as half a character or more
+        h = size.height * uniform(rng, 0.4, 0.85)
+        sticker(rng, face, x + width * 0.08, middle - h / 2 + size.height * uniform(rng, -0.08, 0.08), width * 0.84, h)
+    elif kind == "shape":  # the outline of a state, a star, a cross: an irregular blob in ink
+        blob(rng, face, x + width / 2, middle, width * uniform(rng, 0.5, 1.0), size.height * uniform(rng, 0.25, 0.6))
     elif kind == "emblem":
         colour = near(rng, face.ink_bgr, 60)
         for _ in range(int(rng.integers(1, 4))):
@@ -251,6 +254,73 @@ def _separator(rng: np.random.Generator, face: Face, kind: str, x: float, width:
                 opacity=uniform(rng, 0.3, 0.9),
                 stroke=0.0 if chance(rng, 0.7) else 3.0,
             )
+
+
+def seals(rng: np.random.Generator, face: Face, x: float, width: float, middle: float, size: Type) -> None:
+    """One or two round or hexagonal seals one above the other, of any colour, sometimes with a dash between them."""
+    d = width * uniform(rng, 0.6, 0.98)
+    gap = uniform(rng, 0.05, 0.25) * d
+    rows = [middle - d - gap / 2, middle + gap / 2]
+    if chance(rng, 0.35):
+        face.mark("rect", x, middle - size.stroke / 2, width, size.stroke, face.ink_bgr)
+        rows = [middle - d - size.stroke, middle + size.stroke] if chance(rng, 0.6) else [middle - d - size.stroke]
+    elif chance(rng, 0.3):
+        rows = rows[:1] if chance(rng, 0.5) else [middle - d / 2]
+    left = x + (width - d) / 2
+    for y in rows:
+        figure = "disc" if chance(rng, 0.8) else "rect"
+        colour = near(rng, pick_colour(rng), 40)
+        face.mark(figure, left, y, d, d, colour)
+        if chance(rng, 0.6):
+            face.mark(figure, left, y, d, d, near(rng, (150, 150, 150), 70), stroke=d * uniform(rng, 0.06, 0.16))
+        core = uniform(rng, 0.2, 0.6)
+        face.mark(
+            "disc" if chance(rng, 0.4) else "rect",
+            left + d * (1 - core) / 2,
+            y + d * (1 - core) / 2,
+            d * core,
+            d * core,
+            near(rng, pick_colour(rng), 50),
+        )
+
+
+def pick_colour(rng: np.random.Generator) -> Colour:
+    """What seals and stickers are printed in."""
+    options = ((40, 40, 200), (190, 90, 30), (60, 150, 60), (30, 140, 240), (40, 200, 230), (235, 235, 235), (60, 60, 60))
+    return options[int(rng.integers(len(options)))]
+
+
+def crest(rng: np.random.Generator, face: Face, code: str, size: Type) -> float:
+    """A shield with the country's letters below it at the left, without a band; where the characters may begin (mm)."""
+    left = -face.width_mm / 2 + uniform(rng, 8, 16)
+    wide = uniform(rng, 26, 38)
+    top = -size.height / 2 + uniform(rng, -4, 4)
+    shield_h = size.height * uniform(rng, 0.4, 0.6)
+    face.mark("rect", left, top, wide, shield_h, near(rng, pick_colour(rng), 40))
+    for _ in range(int(rng.integers(1, 4))):
+        w, h = wide * uniform(rng, 0.3, 0.8), shield_h * uniform(rng, 0.2, 0.7)
+        face.mark(
+            "disc" if chance(rng, 0.5) else "rect",
+            left + uniform(rng, 0, 1) * (wide - w),
+            top + uniform(rng, 0, 1) * (shield_h - h),
+            w,
+            h,
+            near(rng, pick_colour(rng), 50),
+        )
+    letters_h = size.height * uniform(rng, 0.25, 0.36)
+    stroke = letters_h * uniform(rng, 0.12, 0.2)
+    face.mark("text", left, size.height / 2 - letters_h, wide, letters_h, face.ink_bgr, text=code, stroke=stroke)
+    return left + wide
+
+
+def blob(rng: np.random.Generator, face: Face, x: float, y: float, width: float, height: float) -> None:
+    """Overlapping bars and discs about a centre: an irregular figure that is no character."""
+    colour = near(rng, face.ink_bgr, 60)
+    for _ in range(int(rng.integers(3, 6))):
+        w, h = width * uniform(rng, 0.3, 0.9), height * uniform(rng, 0.2, 0.8)
+        left = x - w / 2 + uniform(rng, -0.2, 0.2) * width
+        top = y - h / 2 + uniform(rng, -0.2, 0.2) * height
+        face.mark("disc" if chance(rng, 0.4) else "rect", left, top, w, h, colour)
 
 
 def screws(rng: np.random.Generator, face: Face) -> None:

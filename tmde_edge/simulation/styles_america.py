@@ -97,6 +97,9 @@ def style_us(rng: np.random.Generator) -> Face:
         (
             "LLLDDDD",
             "LLL-DDDD",
+            "LLL-DDD",
+            "XXX-XXX",
+            "LLL-DDDD",
             "LLL DDDD",
             "DLLLDDD",
             "LLLDDD",
@@ -136,7 +139,7 @@ def style_us(rng: np.random.Generator) -> Face:
         left=left,
         right=right,
         top=top,
-        hyphen=pick(rng, ("bar", "dot", "emblem", "emblem", "none")),
+        hyphen=pick(rng, ("bar", "dot", "emblem", "tab", "tab", "tab", "shape", "shape", "none")),
     )
     if chance(rng, 0.5):
         face.border_mm, face.border_inset_mm = uniform(rng, 1, 3), uniform(rng, 0, 4)

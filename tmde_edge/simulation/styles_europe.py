@@ -13,6 +13,7 @@ from tmde_edge.simulation.plate_parts import (
     Type,
     bands,
     chance,
+    crest,
     near,
     pick,
     random_text,
@@ -70,13 +71,16 @@ def _eu_face(rng: np.random.Generator, width: float, height: float, yellow: floa
 def style_eu1(rng: np.random.Generator) -> Face:
     patterns, hyphen, code, yellow, second = _EU[pick(rng, list(_EU))]
     if chance(rng, 0.12):
-        hyphen = pick(rng, ("none", "bar", "dot", "emblem"))
+        hyphen = pick(rng, ("none", "bar", "dot", "emblem", "seal", "tab"))
     face = _eu_face(rng, 520 if chance(rng, 0.8) else uniform(rng, 440, 525), uniform(rng, 108, 114), max(yellow, 0.05))
     left, right = bands(rng, face, code, right=second and chance(rng, 0.9))
     if chance(rng, 0.06):  # no band at all: older plates
         face.marks.clear()
         left, right = -face.width_mm / 2, face.width_mm / 2
     size = _eu_type(rng)
+    if chance(rng, 0.14):
+        face.marks.clear()
+        left, right = crest(rng, face, code, size), face.width_mm / 2
     row_of(
         rng,
         face,
