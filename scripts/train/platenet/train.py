@@ -118,7 +118,7 @@ def main() -> None:
     p.add_argument("--steps", type=int)
     p.add_argument("--init", type=Path)
     p.add_argument("--peak", type=float, default=2e-3)
-    p.add_argument("--corner", type=float, default=4.0, help="weight of the corners' loss")
+    p.add_argument("--corner", type=float, default=9.0, help="weight of the corners' loss")
     p.add_argument("--seed", type=int, default=0)
     p.add_argument("--threads", type=int, default=1)
     a = p.parse_args()
