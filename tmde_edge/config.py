@@ -95,7 +95,7 @@ class RuntimeConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """The `[runtime]` table."""
 
     threads: Annotated[int, Meta(ge=0)] = (
-        0  # of every pool (OpenCV, ONNX Runtime); 0: as many as there are cores, at most 4
+        0  # of every pool (OpenCV, ONNX Runtime); 0: one a core, at most 4
     )
     tick_hz: Positive = 20.0  # how often time passes although nothing arrives
 

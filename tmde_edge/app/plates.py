@@ -54,8 +54,8 @@ def budget_lines(config: Config, *, as_json: bool) -> Iterator[str]:
         if as_json:
             for row in rows:
                 cues = {c.cue: c.sigma_m for c in row.cues}
-                yield json.dumps({"standard": standard.id, "distance_m": row.distance_m, "plate_width_px": row.plate_width_px,
-                                  "char_height_px": row.char_height_px, "sigma_m": row.sigma_m, "cues": cues, "reason": row.reason})  # fmt: skip
+                row_values = {f: getattr(row, f) for f in ("distance_m", "plate_width_px", "char_height_px", "sigma_m", "reason")}
+                yield json.dumps({"standard": standard.id, **row_values, "cues": cues})
             continue
         yield one_line(camera, [standard], config.ranging)
         yield f"{'distance':>9} {'plate':>8} {'glyph':>8} {'sigma':>9}  " + " ".join(f"{c:>12}" for c in CUE_COLUMNS)

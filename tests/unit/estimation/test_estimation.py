@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -125,7 +127,7 @@ def test_dropout_is_bridged_with_growing_sigma_then_ends() -> None:
     leads = [r.lead for r in gone if r.lead is not None]
     assert 5 < len(leads) < 90
     sigmas = [lead.sigma_m for lead in leads if lead.sigma_m is not None]
-    assert all(b >= a for a, b in zip(sigmas[:-1], sigmas[1:], strict=True))
+    assert all(b >= a for a, b in itertools.pairwise(sigmas))
     assert leads[-1].coasting_s > 0.15
     assert gone[-1].lead is None
 
