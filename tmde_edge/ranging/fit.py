@@ -109,8 +109,6 @@ class _State:
     gradient: Floats
     data: Floats  # J^T W J without the prior
     assumed: Floats  # the prior's information
-    chi2: float  # weighted squared residuals
-    weight: float  # sum of weights
     rejected: float
 
 
@@ -198,25 +196,26 @@ class _Problem:
         cost += float(off[3:] @ pull[3:]) - _ANGLE_C**2 * float(np.log(tail).sum())
         glyphs = squares[c : c + len(self.glyph)]
         rejected = float(np.mean(glyphs > _WILD**2)) if len(glyphs) else 0.0
-        return _State(
-            cost, data + assumed, weighted @ now + pull, data, assumed, float(w @ squares), float(w.sum()), rejected
-        )
+        return _State(cost, data + assumed, weighted @ now + pull, data, assumed, rejected)
 
     def finish(self, x: Floats, state: _State) -> Fit | None:
         if not np.isfinite(x).all() or abs(x[YAW]) > 1.4 or abs(x[LEAN]) > 1.2:
             return None
         inverse = np.linalg.inv(state.normal)
-        # Noise larger than stated (blur, bad edges) shows in the residuals: scale it, never below what was stated.
-        excess = max(1.0, (state.chi2 + _PRIOR_DOF) / (state.weight + _PRIOR_DOF)) if state.weight > 0 else 1.0
+        # Residuals larger than stated (blur, bad edges, a plate unlike its standard) widen everything (Birge's ratio);
+        # smaller ones narrow nothing.
+        count = 2 * len(self.corner) + len(self.glyph) + len(self.runs)
+        strain = state.cost / max(count, 1)
+        excess = max(1.0, (state.cost + _PRIOR_DOF) / (count + _PRIOR_DOF))
         noise = inverse @ state.data @ inverse * excess
-        prior = inverse @ state.assumed @ inverse
+        prior = inverse @ state.assumed @ inverse * excess
         sign, logdet = np.linalg.slogdet(state.normal)
         prior_logdet = np.linalg.slogdet(self.m.information)[1]
         evidence = -0.5 * state.cost + 0.5 * (prior_logdet - (logdet if sign > 0 else 0.0))
         return Fit(
             x=x, noise=noise, prior=prior, cost=state.cost, evidence=float(evidence), glyphs_used=len(self.glyph),
             corners_used=len(self.corner), pitch_used=bool(self.runs), rejected=state.rejected,
-            strain=state.cost / max(2 * len(self.corner) + len(self.glyph) + len(self.runs), 1),
+            strain=strain,
         )
 
 
