@@ -78,7 +78,7 @@ class CameraConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 class PlatesConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The `[plates]` table."""
 
-    expect: list[str] = msgspec.field(default_factory=lambda: ["auto"])  # ids of plate standards or countries; ["auto"]: among all
+    expect: list[str] = msgspec.field(default_factory=lambda: ["auto"])  # ids of standards or countries; ["auto"]: among all
 
 
 class RecordConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

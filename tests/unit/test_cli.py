@@ -1,0 +1,157 @@
+"""The command line's promises: exit codes, one-line errors, JSON lines that are nothing but JSON."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from tmde_edge.cli import main
+
+
+@pytest.fixture
+def street(tmp_path: Path) -> Path:
+    """A folder of three textured pictures without a plate, a text file and a broken image."""
+    folder = tmp_path / "street"
+    folder.mkdir()
+    rng = np.random.default_rng(0)
+    base = cv2.GaussianBlur(rng.integers(0, 255, (240, 320, 3), dtype=np.uint8), (0, 0), 5)
+    for k in range(3):
+        cv2.imwrite(str(folder / f"{k:03}.png"), np.roll(base, 2 * k, axis=1))
+    (folder / "notes.txt").write_text("not an image")
+    return folder
+
+
+def run(capsys: pytest.CaptureFixture[str], *args: str) -> tuple[int, str, str]:
+    try:
+        code = main(list(args))
+    except SystemExit as e:  # argparse
+        code = int(e.code or 0)
+    out, err = capsys.readouterr()
+    return code, out, err
+
+
+def bad(tmp_path: Path, name: str, text: bytes) -> str:
+    (tmp_path / name).write_bytes(text)
+    return str(tmp_path / name)
+
+
+DBC = '[can.vehicle]\ndbc = "car.dbc"\nspeed = {message = "SPEED", signal = "SPEED", unit = "km/h"}\n'
+
+
+@pytest.mark.parametrize(
+    ("what", "code", "says"),
+    [
+        ("missing file", 66, "no such file"),
+        ("empty folder", 66, "no images"),
+        ("corrupt video", 65, "bad.mp4"),
+        ("wrong config key", 78, "did you mean camera.fx_px"),
+        ("wrong type", 78, "camera.fx_px = 'far'"),
+        ("NaN in config", 78, "not a finite number"),
+        ("unknown plate", 78, "atlantis"),
+        ("missing DBC", 78, "car.dbc"),
+        ("unreadable DBC", 78, "car.dbc"),
+        ("CAN log of another format", 65, "x.log"),
+        ("missing CAN log", 66, "nowhere.log"),
+        ("missing truth", 66, "nowhere.csv"),
+        ("bad --fps", 2, "--fps"),
+        ("offset without log", 2, "--can-offset"),
+    ],
+)
+def test_bad_input_is_one_line_and_the_right_code(
+    what: str, code: int, says: str, tmp_path: Path, street: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "empty").mkdir()
+    dry = ["--dry-run", str(street), "-q"]
+    config = str(tmp_path / "c.toml")
+    Path(config).write_text(DBC)
+    args = {
+        "missing file": ["--dry-run", str(tmp_path / "no.mp4")],
+        "empty folder": ["--dry-run", str(tmp_path / "empty")],
+        "corrupt video": ["--dry-run", bad(tmp_path, "bad.mp4", b"\x00\x01not a video" * 50)],
+        "wrong config key": [*dry, "--set", "camera.fx_pix=900"],
+        "wrong type": [*dry, "--set", "camera.fx_px='far'"],
+        "NaN in config": [*dry, "--set", "camera.fx_px=nan"],
+        "unknown plate": [*dry, "--set", 'plates.expect=["atlantis"]'],
+        "missing DBC": ["check-config", "-c", config],
+        "unreadable DBC": ["check-config", "-c", config],
+        "CAN log of another format": [*dry, "--can-log", bad(tmp_path, "x.log", b"time,id,data\n1,2,3\n")],
+        "missing CAN log": [*dry, "--can-log", str(tmp_path / "nowhere.log")],
+        "missing truth": [*dry, "--truth", str(tmp_path / "nowhere.csv")],
+        "bad --fps": [*dry, "--fps", "0"],
+        "offset without log": [*dry, "--can-offset", "1"],
+    }[what]
+    if what == "unreadable DBC":
+        bad(tmp_path, "car.dbc", b"\x00\xff this is no DBC \xfe")
+    got, out, err = run(capsys, *args)
+    assert got == code, err
+    assert out == ""
+    assert len(err.strip().splitlines()) == 1
+    assert says in err
+    assert "Traceback" not in err
+
+
+def test_wrong_usage_is_2(capsys: pytest.CaptureFixture[str], street: Path) -> None:
+    assert run(capsys, "--no-such-option")[0] == 2
+    assert run(capsys, "--dry-run", str(street), "measure", "x.png")[0] == 2
+    assert run(capsys, "simulate")[0] == 2
+
+
+def test_dry_run_writes_only_json_lines_to_stdout(capsys: pytest.CaptureFixture[str], street: Path) -> None:
+    (street / "001.png").write_bytes(b"broken")
+    code, out, _ = run(capsys, "--dry-run", str(street), "--fps", "10", "--jsonl", "-", "--set", "runtime.threads=1")
+    records = [json.loads(line) for line in out.splitlines()]
+    assert code == 0
+    assert [r["frame"] for r in records] == [0, 1, 2]
+    assert [r["t"] for r in records] == [0.0, 0.1, 0.2]
+    assert "error" in records[1]
+    for r in (records[0], records[2]):
+        assert set(r) >= {"plates", "lead", "ego", "pose", "depth", "alert", "faults", "mode", "timing_ms"}
+        assert r["plates"] == []
+        assert "uncalibrated" in r["faults"]
+        assert r["alert"]["level"] == "none"
+
+
+def test_sizes_that_do_not_fit_the_calibration_are_error_records(capsys: pytest.CaptureFixture[str], street: Path) -> None:
+    cv2.imwrite(str(street / "001.png"), np.full((200, 320, 3), 90, np.uint8))
+    fits = ["--set", "camera.fx_px=900", "--set", "camera.width_px=640", "--set", "camera.height_px=480"]
+    code, out, _ = run(capsys, "measure", str(street), "--jsonl", "-", *fits)
+    records = [json.loads(line) for line in out.splitlines()]
+    assert code == 0
+    assert ["error" in r for r in records] == [False, True, False]
+    assert "320x200" in records[1]["error"]
+
+
+def test_measure_exits_65_only_when_nothing_could_be_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, _, err = run(capsys, "measure", bad(tmp_path, "a.png", b"no"), bad(tmp_path, "b.png", b"no"), "-q")
+    assert code == 65
+    assert "none of 2 images" in err
+
+
+def test_two_dry_runs_are_identical_but_for_timing(capsys: pytest.CaptureFixture[str], street: Path) -> None:
+    def once() -> list[dict[str, object]]:
+        _, out, _ = run(capsys, "--dry-run", str(street), "--jsonl", "-")
+        records = [json.loads(line) for line in out.splitlines()]
+        for r in records:
+            del r["timing_ms"]
+        return records
+
+    assert once() == once()
+
+
+def test_recorded_dry_run_replays_identically(capsys: pytest.CaptureFixture[str], street: Path, tmp_path: Path) -> None:
+    log = tmp_path / "drive.mcap"
+    assert run(capsys, "--dry-run", str(street), "--record", str(log), "-q")[0] == 0
+    code, _, err = run(capsys, "replay", str(log))
+    assert code == 0
+    assert "identical" in err
+
+
+def test_plates_list_names_every_standard(capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, _ = run(capsys, "plates", "list")
+    assert code == 0
+    assert len(out.splitlines()) >= 50
+    assert "de-mittel" in out
