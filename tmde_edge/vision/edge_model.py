@@ -58,8 +58,8 @@ def fit_edges(
         damped[:, _ALL, _ALL] = (damped[:, _ALL, _ALL] + weight**2) * (1 + damping[:, None])
         gradient = (across @ residual[..., None])[..., 0] + weight**2 * (p - prior)
         step = np.linalg.solve(damped, gradient[..., None])[..., 0]
-        trial = p - np.clip(step, -_LIMIT, _LIMIT)
-        trial[:, S] = np.clip(trial[:, S], np.log(0.3), np.log(3.0))
+        trial = p - np.minimum(np.maximum(step, -_LIMIT), _LIMIT)
+        trial[:, S] = np.minimum(np.maximum(trial[:, S], _S_MIN), _S_MAX)
         t_cost, t_jacobian, t_residual = _evaluate(trial, y, offsets_px, inside, noise, prior, weight)
         better = t_cost < cost
         damping = np.where(better, damping * 0.2, damping * 8)
@@ -80,6 +80,7 @@ def fit_edges(
 
 
 _ALL = np.arange(7)
+_S_MIN, _S_MAX = float(np.log(0.3)), float(np.log(3.0))
 _LIMIT = np.array([1.0, 0.6, 0.6, 0.3, 60.0, 60.0, 60.0])  # of one step
 
 
@@ -87,7 +88,7 @@ def _start(
     y: Array, start_px: Array, border: NDArray[np.bool_], height_px: float, ink_level: float, x_sigma_px: float
 ) -> tuple[Array, Array, Array]:
     """Start, prior means and inverse prior sigmas of the parameters, (2 n, 7) each."""
-    ground, body = np.percentile(y, 95, axis=1), y[:, -3:].mean(axis=1)
+    ground, body = np.sort(y, axis=1)[:, int(0.95 * y.shape[1])], y[:, -3:].mean(axis=1)
     start = np.concatenate([start_px, start_px])
     p = np.zeros((len(y), 7))
     p[:, T] = np.where(border, THICKNESS * height_px, 0.0)

@@ -48,8 +48,12 @@ class _Side:
     blur_px: float
 
 
-def refine_outline(image: Image, corners_px: Array, given_sigma_px: float | None = None) -> OutlineFit:
+def refine_outline(
+    image: Image, corners_px: Array, given_sigma_px: float | None = None, light_on_dark: bool | None = None
+) -> OutlineFit:
     """The outline near the given corners that the image itself shows; given_sigma_px: how well those are believed.
+
+    light_on_dark: the plate's polarity where it is known.
 
     `refined` is False when a side shows no edge or leaves the image: that side then stays where it was, with a sigma of
     a quarter of the search reach.
@@ -63,7 +67,7 @@ def refine_outline(image: Image, corners_px: Array, given_sigma_px: float | None
         tilt_px = min(tilt_px, max(1.0, 4 * given_sigma_px))
     reach = max(MIN_REACH_PX, reach)
     patch, shift = _patch(image, corners_px, 1.5 * reach + 4)
-    if _dark_ground(patch, corners_px - shift):
+    if _dark_ground(patch, corners_px - shift) if light_on_dark is None else light_on_dark:
         patch = 255.0 - patch
     sides = _fit_sides(
         patch, corners_px - shift, reach, tilt_px, height_px, given_sigma_px or GIVEN_OF_HEIGHT * height_px
@@ -229,8 +233,9 @@ def _ink_level(patch: NDArray[np.float32], corners_px: Array) -> float:
     x0, y0, x1, y1 = bounds(corners_px)
     dx, dy = 0.12 * (x1 - x0), 0.25 * (y1 - y0)
     middle = patch[max(0, int(y0 + dy)) : int(y1 - dy) + 1, max(0, int(x0 + dx)) : int(x1 - dx) + 1]
-    seen = middle[np.isfinite(middle)]
-    return float(np.percentile(seen, 4)) if len(seen) else 0.0
+    sparse = middle[:: 1 + middle.shape[0] // 24, :: 1 + middle.shape[1] // 96]
+    seen = np.sort(sparse[np.isfinite(sparse)])
+    return float(seen[len(seen) // 25]) if len(seen) else 0.0
 
 
 def _direction(patch: NDArray[np.float32], a: Array, b: Array, reach: float, tilt_px: float) -> tuple[float, float] | None:
@@ -246,18 +251,16 @@ def _direction(patch: NDArray[np.float32], a: Array, b: Array, reach: float, til
         return None
     slope = np.clip(_derivative(grey, step, max(SMOOTH_PX, step)), -60.0, 60.0)  # a lamp must not outvote the side
     prior = np.exp(-0.5 * (across / (0.7 * reach)) ** 2)
-    columns = np.arange(slope.shape[1])
-    best, best_value = None, 0.0
-    for k in range(-max(1, round(tilt_px / (2 * step))), max(1, round(tilt_px / (2 * step))) + 1):
-        tilt = 2 * step * k
-        index = columns + np.rint(along * tilt / step).astype(np.int64)[:, None]
-        taken = np.take_along_axis(slope, np.clip(index, 0, slope.shape[1] - 1), axis=1)
-        strength = np.abs(taken.mean(axis=0)) * prior
-        top = int(strength.argmax())
-        if strength[top] > best_value:
-            best_value, best = float(strength[top]), (float(across[top]), tilt)
+    columns, n = slope.shape[1], max(1, round(tilt_px / (2 * step)))
+    tilts = 2 * step * np.arange(-n, n + 1)
+    shift = np.rint(along * tilts[:, None] / step).astype(np.int64)
+    index = np.maximum(np.minimum(np.arange(columns) + shift[:, :, None], columns - 1), 0)
+    taken = slope.ravel()[index + columns * np.arange(len(along))[:, None]]
+    strength = np.abs(taken.mean(axis=1)) * prior
+    k, top = divmod(int(strength.argmax()), columns)
+    best, best_value = (float(across[top]), float(tilts[k])), float(strength[k, top])
     # a step of c grey levels has the slope c / (sqrt(2 pi) spread), spread at least the smoothing
-    if best is None or best_value < MIN_STEP_GREY / (np.sqrt(2 * np.pi) * 2 * max(SMOOTH_PX, step)):
+    if best_value < MIN_STEP_GREY / (np.sqrt(2 * np.pi) * 2 * max(SMOOTH_PX, step)):
         return None
     return best
 

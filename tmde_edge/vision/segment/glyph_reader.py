@@ -49,7 +49,7 @@ class GlyphReader:
         given = OutlineFit(corners_px=reading.corners_px, sigma_px=given_sigma, refined=False, blur_px=None)
         if reading.platehood < self._settings.platehood_min or not is_convex(reading.corners_px):
             return _plain(given, reading)
-        fit = self._outline(image, given)
+        fit = self._outline(image, given, reading.light_on_dark)
         # glyphs are measured in the frame of the network's own corners: a wrong edge of the outline moves none of them
         view = flatten(image, given.corners_px)
         if view is None or not reading.glyphs:
@@ -75,11 +75,11 @@ class GlyphReader:
             blur_px=fit.blur_px,
         )
 
-    def _outline(self, image: Image, given: OutlineFit) -> OutlineFit:
+    def _outline(self, image: Image, given: OutlineFit, light_on_dark: bool) -> OutlineFit:
         """The image's own edges where they agree with the network's corners; else those corners."""
         if not self._settings.refine:
             return given
-        fit = refine_outline(image, given.corners_px, given.sigma_px)
+        fit = refine_outline(image, given.corners_px, given.sigma_px, light_on_dark)
         moved = float(np.abs(fit.corners_px - given.corners_px).max())
         if not fit.refined or moved > MOVED_SIGMAS * max(given.sigma_px, fit.sigma_px):
             return given

@@ -54,7 +54,8 @@ def _crossing(profile: Array, at: float, reach: int, start: int, *, rising: bool
     Levels: the profile's median in the glyph's middle third is ink, its minimum outside within reach is ground.
     """
     n = len(profile)
-    ink = float(np.median(profile[n // 3 : n - n // 3]))
+    body = np.sort(profile[n // 3 : n - n // 3])
+    ink = float(body[len(body) // 2])
     outside = profile[: max(1, int(at) + 1)] if rising else profile[min(n - 1, int(np.ceil(at))) :]
     ground = float(outside.min())
     contrast = ink - ground
