@@ -1,4 +1,4 @@
-"""GlyphNet: a crop in, plate-ness, corners and characters out. About 13 million multiplications, 80,000 weights."""
+"""GlyphNet: a crop in, plate-ness, corners and characters out. About 19 million multiplications, 120,000 weights."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Block(nn.Module):
 class GlyphNet(nn.Module):
     """forward(x (n, 1, 64, 192)) -> glyph map (n, 6, 16, 96), corners (n, 4, 2) canvas px, (n, 6): 4 log sigmas, plate, light-on-dark."""
 
-    def __init__(self, c4: int = 24, c8: int = 40, c16: int = 64, c2: int = 16) -> None:
+    def __init__(self, c4: int = 28, c8: int = 48, c16: int = 96, c2: int = 12) -> None:
         super().__init__()
         self.stem = cbr(1, c2, 5, 2)
         self.down4 = cbr(c2, c4, 3, 2)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import cv2
@@ -176,6 +176,24 @@ def weather(rng: Rng, face: ImageF) -> ImageF:
     return face.astype(np.float32)
 
 
+def scenic(rng: Rng, world: World, spec: FaceSpec, ppm: float, font: MaskFont, face: ImageF) -> ImageF:
+    """A printed picture behind the characters, as on many American plates."""
+    pool = world.photos or [f for f, _ in world.frames]
+    image = pool[int(rng.integers(len(pool)))]
+    h, w = face.shape[:2]
+    scale = rng.uniform(0.3, 1.0)
+    ch = max(8, int(image.shape[0] * scale))
+    cw = min(image.shape[1], int(ch * w / h))
+    y, x = int(rng.integers(image.shape[0] - ch + 1)), int(rng.integers(image.shape[1] - cw + 1))
+    print_ = cv2.resize(image[y : y + ch, x : x + cw], (w, h), interpolation=cv2.INTER_AREA).astype(np.float32)
+    print_ = (print_ - print_.mean(axis=(0, 1))) * rng.uniform(0.1, 0.6)
+    bare = replace(spec, background_bgr=(255.0, 255.0, 255.0), ink_bgr=(0.0, 0.0, 0.0), marks=(), border_mm=0)
+    ink = 1 - render_face(bare, ppm, font)[..., :1].astype(np.float32) / 255
+    room = np.abs(np.mean(spec.ink_bgr) - np.mean(spec.background_bgr))
+    print_ = np.clip(print_, -0.55 * room, 0.55 * room)  # the law wants the characters legible
+    return np.clip(face + print_ * (1 - ink), 0, 255)
+
+
 def surroundings(rng: Rng, image: ImageF, quad: NDArray[np.float64], font: MaskFont, ss: float) -> None:
     """Recess, holder, lamp, lettering round the plate; quad in image pixels; drawn before the plate."""
     centre = quad.mean(axis=0)
@@ -223,11 +241,13 @@ def holder(rng: Rng, image: ImageF, quad: NDArray[np.float64], font: MaskFont, w
     for top, room in ((True, out[2] + over[2]), (False, out[3] + over[3])):
         if room > 14 and rng.random() < 0.7:
             y = -H - out[2] + room * 0.2 if top else H + out[3] - room * 0.8
-            box = project(h, np.array([[-W * 0.8, y], [W * 0.8, y + room * 0.6]]))
-            wid = (box[1, 0] - box[0, 0]) * rng.uniform(0.4, 1.0)
-            x = (box[0, 0] + box[1, 0] - wid) / 2
+            left, right, low = project(h, np.array([[-W * 0.8, y], [W * 0.8, y], [0, y + room * 0.6]]))
+            if abs(right[1] - left[1]) > 0.12 * abs(right[0] - left[0]):
+                continue  # lettering is drawn upright only
+            wid = (right[0] - left[0]) * rng.uniform(0.4, 1.0)
+            x, top_px, tall = (left[0] + right[0] - wid) / 2, (left[1] + right[1]) / 2, low[1] - (left[1] + right[1]) / 2
             ink = np.full(3, 235 if col.mean() < 110 else 20, np.float32)
-            put_text(rng, image, words(rng, int(rng.integers(1, 3)))[:20], font, (x, box[0, 1], wid, box[1, 1] - box[0, 1]), ink)
+            put_text(rng, image, words(rng, int(rng.integers(1, 3)))[:20], font, (x, top_px, wid, tall), ink)
 
 
 def camera(rng: Rng, image: ImageF, ss: int) -> Image8:
@@ -318,7 +338,10 @@ def view(rng: Rng, world: World, spec: FaceSpec, font: MaskFont, width_px: float
     big = np.ascontiguousarray(big)
     surroundings(rng, big, project(up, quad), font, ss)
     ppm = max(1.25 * ss * width_px / spec.width_mm, 0.12)
-    face = weather(rng, render_face(spec, ppm, font).astype(np.float32))
+    face = render_face(spec, ppm, font).astype(np.float32)
+    if rng.random() < (0.3 if spec.width_mm < 2.6 * spec.height_mm else 0.03):
+        face = scenic(rng, world, spec, ppm, font, face)
+    face = weather(rng, face)
     alpha = face_alpha(spec, ppm)
     face4 = np.dstack([face * alpha[..., None], alpha * 255])
     mm_from_face = np.array([[1 / ppm, 0, -spec.width_mm / 2 + 0.5 / ppm], [0, 1 / ppm, -spec.height_mm / 2 + 0.5 / ppm], [0, 0, 1]])
@@ -536,13 +559,13 @@ def any_sample(rng: Rng, world: World) -> Sample:
     """One draw of the training mixture."""
     while True:
         k = rng.random()
-        if k < 0.62:
+        if k < 0.66:
             s = plate_sample(rng, world)
-        elif k < 0.68:
+        elif k < 0.71:
             s = plate_sample(rng, world, part=True)
-        elif k < 0.72:
+        elif k < 0.75:
             s = real_plate(rng, world)
-        elif k < 0.86:
+        elif k < 0.84:
             s = photo_negative(rng, world)
         else:
             s = drawn_negative(rng, world)

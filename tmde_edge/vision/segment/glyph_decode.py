@@ -27,6 +27,8 @@ class Glyph:
     score: float
     main: bool
     row: int
+    sigma_tb_px: float = 0.5  # one standard deviation of top and bottom, source px
+    sigma_lr_px: float = 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
