@@ -47,12 +47,16 @@ class DetectorSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     # kind = "onnx", a detector of yours
     onnx_path: str = ""  # the file
     onnx_format: Literal["yolo", "yolo-corners", "ssd-corners", "detr"] = "yolo"  # how its outputs are read
-    onnx_width_px: Annotated[int, Meta(ge=0)] = 0  # input size where the graph leaves it open; 0: 640
+    onnx_width_px: Annotated[int, Meta(ge=0)] = 0  # input size where the graph leaves it open; 0: 640 on the longer side
     onnx_height_px: Annotated[int, Meta(ge=0)] = 0
-    onnx_mean: list[float] = []  # subtracted from each channel, 0..255; empty: nothing
-    onnx_scale: Positive | None = None  # multiplies after that; none: 1/255 (yolo, detr), 1 (ssd-corners)
-    onnx_rgb: bool | None = None  # channel order; none: RGB (yolo, detr), BGR (ssd-corners)
+    onnx_mean: list[float] = []  # of three channels, 0..255, subtracted; empty: 104 117 123 (ssd-corners), else none
+    onnx_scale: Positive | None = None  # multiplies after that; none: 1 (ssd-corners), else 1/255
+    onnx_rgb: bool | None = None  # channel order; none: BGR (ssd-corners), else RGB
     onnx_class: Annotated[int, Meta(ge=0)] = 0  # which class is the plate
+    onnx_classes: PositiveInt = 1  # how many there are (yolo-corners)
+    onnx_no_object: bool = False  # detr: the last class means none (softmax); else every class has its own sigmoid
+    # ssd-corners: sides of the priors at strides 8, 16, 32
+    onnx_sizes_px: tuple[tuple[float, ...], ...] = ((24.0, 48.0), (96.0, 192.0), (384.0, 768.0))
 
 
 class SegmenterSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -1,0 +1,72 @@
+"""The plugged-in detector: sizes, letterbox and what is refused; with a graph of its own where `onnx` is installed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tmde_edge.adapters.detectors.onnx_plugin import OnnxFinder, place
+from tmde_edge.adapters.detectors.platenet import MODEL_PATH
+from tmde_edge.errors import ModelError
+from tmde_edge.vision.settings import DetectorSettings
+
+
+def _settings(path, **more) -> DetectorSettings:
+    return DetectorSettings(kind="onnx", onnx_path=str(path), **more)
+
+
+def test_a_missing_path_and_a_broken_file_are_model_errors(tmp_path):
+    with pytest.raises(ModelError, match="onnx_path"):
+        OnnxFinder(DetectorSettings(kind="onnx"))
+    broken = tmp_path / "broken.onnx"
+    broken.write_bytes(b"not a model")
+    with pytest.raises(ModelError, match="cannot load"):
+        OnnxFinder(_settings(broken))
+
+
+@pytest.mark.skipif(not MODEL_PATH.is_file(), reason="the packaged network is not there")
+def test_a_network_of_another_family_is_named_as_such():
+    """PlateNet itself takes (1, h, w, 3): whatever comes of it, it is a ModelError and no answer."""
+    with pytest.raises(ModelError):
+        OnnxFinder(_settings(MODEL_PATH, onnx_width_px=64, onnx_height_px=64)).find(np.zeros((64, 64, 3), np.uint8))
+
+
+@pytest.mark.parametrize("stretch", [True, False])
+def test_placing_keeps_track_of_its_scale(stretch):
+    crop = np.zeros((100, 400), np.uint8)
+    crop[40:60, 100:300] = 255
+    canvas, sx, sy = place(crop, 320, 320, stretch=stretch)
+    assert canvas.shape == (320, 320, 3)
+    bright = np.argwhere(canvas[:, :, 0] > 200)
+    assert (bright[:, 1].min(), bright[:, 1].max() + 1) == pytest.approx((100 * sx, 300 * sx), abs=1)
+    assert (bright[:, 0].min(), bright[:, 0].max() + 1) == pytest.approx((40 * sy, 60 * sy), abs=1)
+    assert (sx == sy) is not stretch
+    if not stretch:
+        assert (canvas[100:] == 114).all()
+
+
+def test_a_graph_end_to_end(tmp_path):
+    """A network that always answers one box, in input pixels: it must come back in source pixels of the region."""
+    onnx = pytest.importorskip("onnx", reason="onnx is a training extra")
+    box = np.zeros((1, 5, 400), np.float32)
+    box[0, :, 0] = 80, 40, 60, 20, 0.9
+    graph = onnx.helper.make_graph(
+        [
+            onnx.helper.make_node("ReduceMax", ["image"], ["top"], keepdims=0),
+            onnx.helper.make_node("Sub", ["top", "top"], ["zero"]),
+            onnx.helper.make_node("Add", ["box", "zero"], ["output"]),
+        ],
+        "g",
+        [onnx.helper.make_tensor_value_info("image", onnx.TensorProto.FLOAT, [1, 3, 160, 320])],
+        [onnx.helper.make_tensor_value_info("output", onnx.TensorProto.FLOAT, [1, 5, 400])],
+        [onnx.numpy_helper.from_array(box, "box")],
+    )
+    model = onnx.helper.make_model(graph, opset_imports=[onnx.helper.make_opsetid("", 13)], ir_version=8)
+    onnx.save(model, str(tmp_path / "one.onnx"))
+    finder = OnnxFinder(_settings(tmp_path / "one.onnx"))
+    (found,) = finder.find(np.zeros((720, 1280, 3), np.uint8), region_px=(100, 200, 740, 520))
+    true = np.array([[50.0, 30], [110, 30], [110, 50], [50, 50]]) * 2 + (100, 200) - 0.5
+    assert found.corners_px == pytest.approx(true, abs=1e-6)
+    assert found.score == pytest.approx(0.9)
+    (grey,) = finder.find(np.zeros((320, 640), np.uint8))
+    assert grey.corners_px[0] == pytest.approx([99.5, 59.5])
