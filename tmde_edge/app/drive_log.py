@@ -35,7 +35,7 @@ _BY_TOPIC: dict[str, type[Any]] = {topic: kind for kind, topic in (*INPUTS.items
 # What a cut-off or damaged end of a file makes the reader raise.
 _TORN = (
     *(mcap.exceptions.McapError, CRCValidationError, zstandard.ZstdError, struct.error),
-    *(EOFError, ValueError, RuntimeError, MemoryError),
+    *(EOFError, ValueError, RuntimeError, MemoryError, OverflowError),
 )
 Json: TypeAlias = dict[str, Any]
 
@@ -188,7 +188,7 @@ class DriveLogReader:
         topics: dict[int, str] = {}
         try:
             with self._path.open("rb") as stream:
-                for record in StreamReader(stream, validate_crcs=True, record_size_limit=2**30).records:
+                for record in StreamReader(stream, validate_crcs=True).records:
                     if isinstance(record, Channel):
                         topics[record.id] = record.topic
                     elif isinstance(record, Message):
