@@ -50,10 +50,17 @@ def learn(known: Sizes, bias: Floats, fitted_mean: Floats, fitted_covariance: Fl
     """
     blurred = known.covariance + np.diag(bias)
     before = np.linalg.inv(blurred)
-    gained = np.linalg.inv(fitted_covariance) - before
+    # A frame whose fit was widened (residuals larger than stated) may know less than we do; it never takes knowledge away,
+    # or the sizes would drift out of their legal tolerance. Whitened, every direction keeps at least the information 1.
+    root = np.linalg.cholesky(blurred)
+    worth, axes = np.linalg.eigh(root.T @ np.linalg.inv(fitted_covariance) @ root)
+    extra = np.maximum(worth - 1.0, 0.0)
+    back = np.linalg.inv(root).T @ axes
+    gained = (back * extra) @ back.T
     after = np.linalg.inv(before + share * gained)
-    # Solve for the measurement's mean: C^-1 m = before m0 + gained z.
-    pull = np.linalg.inv(fitted_covariance) @ fitted_mean - before @ known.mean
+    # Directions without a gain say nothing new; in the others solve C^-1 m = before m0 + gained z for gained z.
+    told = np.where(extra > 0, worth / np.maximum(extra, 1e-12), 0.0)
+    pull = gained @ known.mean + (back * (extra * told)) @ back.T @ (fitted_mean - known.mean)
     mean = after @ (before @ known.mean + share * pull)
     gain = known.covariance @ before
     covariance = known.covariance - gain @ (blurred - after) @ gain.T
