@@ -14,6 +14,9 @@ Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 EDGE_MARGIN_PX = 1.5  # closer to the frame's edge a feature may be cut
+_UNTESTED = 1.3  # doubt where too few characters can be compared
+_MOST_DOUBT = 6.0
+_SHAPE_SCATTER = 0.01  # relative: letters of one class are not all exactly as tall
 SAME_GROUP = 1.25  # neighbours farther apart than this times the usual spacing stand in different groups
 
 
@@ -38,6 +41,7 @@ class Features:
     sigma_lr: Floats
     row: NDArray[np.int64]
     runs: tuple[NDArray[np.int64], ...]
+    doubt: float  # how many times their stated sigma the characters' heights scatter, 1 to 6
     stroke: float | None
     spacing: float | None
     border: float | None
@@ -57,6 +61,15 @@ class Features:
     def height(self) -> float | None:
         """Mean of the left and right edge's length, normalised, of those whose ends are valid."""
         return self._mean_edge(((0, 3), (1, 2)))
+
+    def glyph_bias(self, bias_px: float, resolved_px: float) -> float:
+        """One sigma of the error that all heights share (normalised): both edges outward or inward together.
+
+        Grows with `doubt`, and as the third power below `resolved_px`, where letters melt into their row.
+        """
+        typical_px = float(np.median(self.heights)) * self.focal_px if len(self.heights) else resolved_px
+        blend = 1.0 + (resolved_px / max(typical_px, 1.0)) ** 3
+        return 2 * bias_px * self.doubt * blend / self.focal_px
 
     def _mean_edge(self, pairs: tuple[tuple[int, int], ...]) -> float | None:
         lengths = [
@@ -85,10 +98,12 @@ def gather(plate: PlateSighting, camera: Camera, view_from_vehicle: Floats) -> F
     rows = np.array([g.row for g in glyphs], dtype=np.int64)
     corners = rays[:4]
     centre = _crossing(corners) if corner_ok.all() else _middle(corners[corner_ok], edges)
+    sigma_tb = np.array([max(g.sigma_tb_px, 0.02) / focal for g in glyphs])
+    doubt = _doubt(edges, sigma_tb)
     return Features(
         focal_px=focal, corners=corners, corner_ok=corner_ok, corner_sigma=max(plate.corners_sigma_px, 0.02) / focal,
         centre=centre, top=edges[:, 0], bottom=edges[:, 1], left=edges[:, 2], right=edges[:, 3],
-        sigma_tb=np.array([max(g.sigma_tb_px, 0.02) / focal for g in glyphs]),
+        sigma_tb=sigma_tb * doubt, doubt=doubt,
         sigma_lr=np.array([max(g.sigma_lr_px, 0.02) / focal for g in glyphs]),
         row=rows, runs=_runs((edges[:, 2] + edges[:, 3]) / 2, rows), stroke=_norm(plate.stroke_px, focal),
         spacing=_norm(plate.spacing_px, focal), border=_norm(plate.border_px, focal),
@@ -101,6 +116,32 @@ def clusters(log_heights: Floats, gap: float = 0.11) -> list[NDArray[np.int64]]:
     order = np.argsort(-log_heights)
     cuts = np.flatnonzero(-np.diff(log_heights[order]) > gap) + 1
     return [part.astype(np.int64) for part in np.split(order, cuts) if len(part)]
+
+
+def _doubt(edges: Floats, sigma_tb: Floats) -> float:
+    """Scatter of the heights about a straight line along each cluster, over what the stated sigmas let expect.
+
+    Characters of one height on one plate are a measurement of the edges' own quality: where they scatter more than
+    stated (blur, small characters), the errors that they share are larger too.
+    """
+    if len(edges) < 4:
+        return _UNTESTED
+    stems = edges[:, 1] - edges[:, 0]
+    heights = np.sqrt(np.sum(stems**2, axis=1))
+    place = (edges[:, 2, 0] + edges[:, 3, 0]) / 2
+    found: list[Floats] = []
+    for member in clusters(np.log(heights)):
+        if len(member) < 4:
+            continue
+        x, h = place[member] - place[member].mean(), heights[member]
+        slope = float(x @ h) / max(float(x @ x), 1e-12)
+        left = h - h.mean() - slope * x
+        expected = np.sqrt(2 * sigma_tb[member] ** 2 + (_SHAPE_SCATTER * h) ** 2)
+        found.append(left / expected * (len(member) / (len(member) - 2)) ** 0.5)
+    if not found:
+        return _UNTESTED
+    scatter = float(np.sqrt(np.mean(np.minimum(np.concatenate(found) ** 2, _MOST_DOUBT**2))))
+    return float(np.clip(scatter, 1.0, _MOST_DOUBT))
 
 
 def _rays(camera: Camera, view_from_vehicle: Floats, pixels: Floats) -> Floats:

@@ -94,10 +94,12 @@ def size_bias(expected: Expectation, features: Features, settings: RangingSettin
     k = expected.classes
     out = np.zeros(k + 3)
     typical = float(np.median(features.heights)) if len(features.heights) else 0.05
-    out[:k] = (2 * settings.glyph_bias_px / (typical * features.focal_px)) ** 2
+    out[:k] = (features.glyph_bias(settings.glyph_bias_px, settings.min_char_height_px) / typical) ** 2
+    # Corners come from fitted edges: part of their error is common to both ends of an edge.
+    edge_px = float(np.hypot(settings.outline_bias_px, 0.5 * features.corner_sigma * features.focal_px))
     for place, side in ((k, features.width), (k + 1, features.height)):
         if side is not None:
-            out[place] = (2**0.5 * settings.outline_bias_px / (side * features.focal_px)) ** 2
+            out[place] = (2**0.5 * edge_px / (side * features.focal_px)) ** 2
     return np.minimum(out, 0.25)
 
 

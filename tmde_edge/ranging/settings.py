@@ -21,7 +21,7 @@ class RangingSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     min_distance_m: Positive = 0.15
     max_distance_m: Positive = 200.0
     outline_sigma_mm: NotNegative = 2.5  # where the seen outline lies against the legal edge: frames, lips, screws
-    outline_bias_px: NotNegative = 0.12  # common error of opposite plate edges
+    outline_bias_px: NotNegative = 0.20  # common error of opposite plate edges
     glyph_bias_px: NotNegative = 0.05  # common outward error of all top and bottom edges (threshold, blur)
     glyph_jitter: NotNegative = 0.010  # relative height differences between characters of one class
     pitch_jitter_mm: NotNegative = 1.5  # ink is not centred in its cell
