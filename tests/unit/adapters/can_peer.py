@@ -1,6 +1,7 @@
 """The other ECU, a process of its own: sends the speed and a few others, prints each ALERT as cantools decodes it.
 
-Arguments: interface, channel, seconds at most; it ends a second after the last ALERT. With udp_multicast it refuses to run where a packet could leave the machine.
+Arguments: interface, channel, seconds at most; it ends a second after the last ALERT. With udp_multicast it refuses to run
+where a packet could leave the machine.
 """
 
 from __future__ import annotations
