@@ -23,6 +23,8 @@ from tmde_edge.vision.sighting import is_blind, plate_sighting
 EARLY_NS = 2_000_000  # a search may run this much before it is due: frame times jitter
 LONGEST_STEP_NS = 1_000_000_000  # after a gap longer than this between frames no track is carried over
 VELOCITY_SHARE = 0.6  # of a new step in the smoothed image velocity
+BRIDGE_HITS = 3  # sightings before flow alone may carry a plate
+MISSES = 2  # frames in a row without a sighting that end a track before it was confirmed
 SAME_STILL_IOU = 0.3  # finer looks at a still: overlap with a plate already read
 SAME_PLATE_IOU = 0.15  # overlap with the predicted box that makes a candidate the same plate
 
@@ -40,6 +42,9 @@ class _Track:
     score: float
     seen_ns: int  # last detection
     hits: int = 1
+    misses: int = 0  # frames since the last hit
+    needed: int = 2  # hits before it is reported
+    sure: bool = False  # was once beyond doubt
     id: int = 0  # 0 until confirmed
     velocity_px: Array = field(default_factory=lambda: np.zeros((4, 2)))  # corners' motion a nanosecond
     sigma_px: float = 1.0
@@ -184,7 +189,9 @@ class Perception:
         for track in self._tracks:
             region = self._region(track, image)
             if region is not None:
-                found += self._search.region(image, region, size_px(track.corners_px)[0], self._mode)
+                # where a plate is known to be, a weaker sign of it is enough
+                mode: Mode = "permissive" if self._bridges(track) else self._mode
+                found += self._search.region(image, region, size_px(track.corners_px)[0], mode)
         if self._due(self._searched_ns, t_ns, self._detector.search_rate_hz):
             self._searched_ns = t_ns
             return True, found + self._search.frame(image, self._mode)
@@ -246,18 +253,28 @@ class Perception:
             if i in matched and credible:
                 self._hit(track, matched[i], reading, t_ns, step_ns)
                 plates += self._report(track, reading, track.score, "detector", image)
-            elif steps[i] is not None and track.id and self._inside(track, image):
-                carried = reading if credible and reading.refined else _bare(track, reading)
+                continue
+            track.misses += 1
+            if steps[i] is not None and self._bridges(track) and self._inside(track, image):
+                seen = credible and reading.refined and _near(track, reading)
+                carried = reading if seen else _bare(track, reading)
                 self._carry(track, carried, step_ns)
                 plates += self._report(track, carried, wanted[i].score, "flow", image)
         for candidate, reading in zip(fresh, readings[len(tracks) :], strict=True):
             if self._credible(reading) and is_convex(reading.corners_px):
                 track = _Track(corners_px=reading.corners_px, score=_joint_score(candidate, reading), seen_ns=t_ns)
                 track.sigma_px = reading.corners_sigma_px
+                # a lower bar for candidates needs one more look before anything is claimed
+                track.needed = self._detector.confirm_hits + (1 if self._mode == "permissive" else 0)
                 self._tracks.append(track)
                 self._confirm(track)
                 plates += self._report(track, reading, track.score, "detector", image)
         return tuple(plates)
+
+    @staticmethod
+    def _bridges(track: _Track) -> bool:
+        """Whether flow alone may carry this plate: it was seen well or often enough."""
+        return track.id > 0 and (track.sure or track.hits >= BRIDGE_HITS)
 
     def _faded(self, track: _Track, t_ns: int) -> float:
         """The score of a plate that the detector has not seen since: none is left when the track ends."""
@@ -276,7 +293,8 @@ class Perception:
         self, track: _Track, candidate: PlateCandidate, reading: PlateReading, t_ns: int, step_ns: int
     ) -> None:
         self._carry(track, reading, step_ns)
-        track.score, track.seen_ns, track.hits = _joint_score(candidate, reading), t_ns, track.hits + 1
+        track.score, track.seen_ns = _joint_score(candidate, reading), t_ns
+        track.hits, track.misses = track.hits + 1, 0
         track.sigma_px = reading.corners_sigma_px
         self._confirm(track)
 
@@ -290,8 +308,8 @@ class Perception:
         track.corners_px = reading.corners_px
 
     def _confirm(self, track: _Track) -> None:
-        sure = track.score >= self._detector.confident_score
-        if not track.id and (sure or track.hits >= self._detector.confirm_hits):
+        track.sure = track.sure or track.score >= self._detector.confident_score
+        if not track.id and (track.sure or track.hits >= track.needed):
             track.id = self._next_id
             self._next_id += 1
 
@@ -336,9 +354,9 @@ class Perception:
                 track.anchor, track.anchor_ns = track.template, t_ns
 
     def _forget_old(self, t_ns: int) -> None:
-        # a plate that was never confirmed gets less patience: it may miss one search
+        # what was not confirmed must be seen at once again: it is looked for in every frame
         patience_ns = self._detector.lost_s * 1e9
-        self._tracks = [t for t in self._tracks if t_ns - t.seen_ns <= patience_ns * (1.0 if t.id else 0.5)]
+        self._tracks = [t for t in self._tracks if t_ns - t.seen_ns <= patience_ns and (t.id or t.misses < MISSES)]
 
     def _count(self, success: bool) -> None:
         """Strict and permissive: permissive after a run of frames without a plate, strict again on success."""
@@ -353,6 +371,12 @@ class Perception:
             t_ns=frame.t_ns, frame_index=frame.index, width_px=frame.image.shape[1], height_px=frame.image.shape[0],
             status=status, plates=plates, scale_changes=changes, mode=mode, searched=searched, timing_ms=timing.total(),
         )  # fmt: skip
+
+
+def _near(track: _Track, reading: PlateReading) -> bool:
+    """Whether what was read is the plate that flow carried, and not a neighbouring edge."""
+    off = float(np.abs(reading.corners_px - track.corners_px).max())
+    return off <= 3 * track.sigma_px + 0.04 * size_px(track.corners_px)[0]
 
 
 def _bare(track: _Track, reading: PlateReading) -> PlateReading:

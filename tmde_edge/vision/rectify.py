@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from tmde_edge.vision.protocols import Image
 
 Array = NDArray[np.float64]
+KEYSTONE = 0.02  # one sigma of how far perspective moves a corner off the parallelogram, in half heights
+SHEAR = 0.05  # one sigma of a plate's shear: tangent of the angle that is missing to a right one
 
 
 def to_grey(image: Image) -> Image:
@@ -56,6 +58,26 @@ def size_px(corners_px: Array) -> tuple[float, float]:
     width = (np.hypot(*(tr - tl)) + np.hypot(*(br - bl))) / 2
     height = (np.hypot(*(bl - tl)) + np.hypot(*(br - tr))) / 2
     return float(width), float(height)
+
+
+def steadied(corners_px: Array, sigma_px: float) -> Array:
+    """Corners drawn towards what a plate can look like, as far as their own sigma allows.
+
+    Seen from afar a plate is a parallelogram (perspective makes opposite sides differ by a few per cent) with nearly a
+    right angle (yaw and pitch together shear it little). Both are shrunk as Gaussian priors; large plates do not move.
+    """
+    tl, tr, br, bl = corners_px
+    centre, u, v, d = corners_px.mean(axis=0), (tr + br - tl - bl) / 4, (bl + br - tl - tr) / 4, (tl - tr + br - bl) / 4
+    width, height = float(np.hypot(*u)), float(np.hypot(*v))
+    if width < 1e-6 or height < 1e-6:
+        return corners_px
+    noise = (sigma_px / 2) ** 2  # of each component of u, v, d: a mean of four corners
+    d = d * (KEYSTONE * height) ** 2 / ((KEYSTONE * height) ** 2 + noise)
+    along = u / width
+    shear = float(along @ v)
+    v = v - along * shear * noise / ((SHEAR * height) ** 2 + noise)
+    signs = np.array([[-1, -1, 1], [1, -1, -1], [1, 1, 1], [-1, 1, -1]], np.float64)
+    return np.asarray(centre + signs @ np.stack([u, v, d]))
 
 
 def bounds(corners_px: Array) -> tuple[float, float, float, float]:

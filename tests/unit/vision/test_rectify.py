@@ -15,6 +15,7 @@ from tmde_edge.vision.rectify import (
     rectify,
     rectify_grey,
     size_px,
+    steadied,
     to_grey,
 )
 
@@ -66,3 +67,17 @@ def test_grey_and_colour_rectify_alike_at_the_edge_of_the_image():
 
 def test_size():
     assert size_px(np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 4.0], [0.0, 4.0]])) == (10.0, 4.0)
+
+
+@given(st.floats(15, 600), st.floats(1.8, 5.0), st.integers(0, 99))
+def test_steadied_corners_are_nearer_the_truth_and_large_plates_stay(width, aspect, seed):
+    rng = np.random.default_rng(seed)
+    half = np.array([[-1, -1 / aspect], [1, -1 / aspect], [1, 1 / aspect], [-1, 1 / aspect]]) * width / 2
+    errors = []
+    for _ in range(20):
+        noisy = half + rng.normal(0, 1.0, (4, 2))
+        better = steadied(noisy, 1.0)
+        errors.append((np.square(better - half).sum(), np.square(noisy - half).sum()))
+        assert better.mean(axis=0) == pytest.approx(noisy.mean(axis=0))
+    assert np.mean(errors, axis=0)[0] <= np.mean(errors, axis=0)[1] + 1e-9
+    assert steadied(half * 100, 0.1) == pytest.approx(half * 100, abs=0.01)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tmde_edge.vision.protocols import CharacterBox, Image, PlateCandidate, PlateReading
-from tmde_edge.vision.rectify import apply_homography, is_convex, size_px
+from tmde_edge.vision.rectify import apply_homography, is_convex, size_px, steadied
 from tmde_edge.vision.refine import OutlineFit, refine_outline
 from tmde_edge.vision.segment.glyph_decode import Glyph, GlyphReading
 from tmde_edge.vision.segment.measure import border_thickness, box_edges, ink_mask, stroke_width
@@ -20,6 +20,7 @@ from tmde_edge.vision.settings import SegmenterSettings
 Array = NDArray[np.float64]
 MOVED_SIGMAS = 4.0  # an outline further than this from the network's corners is another edge
 FLOOR_SIGMA_PX = 0.15  # the network's own, at best
+REFINE_HEIGHT_PX = 16.0  # on lower plates border, margin and lettering run into one another: the network knows better
 
 
 class GlyphNetwork(Protocol):
@@ -46,7 +47,8 @@ class GlyphReader:
 
     def _measure(self, image: Image, reading: GlyphReading) -> PlateReading:
         given_sigma = max(FLOOR_SIGMA_PX, float(np.sqrt(np.mean(np.square(reading.sigma_px)))))
-        given = OutlineFit(corners_px=reading.corners_px, sigma_px=given_sigma, refined=False, blur_px=None)
+        corners = steadied(reading.corners_px, given_sigma)
+        given = OutlineFit(corners_px=corners, sigma_px=given_sigma, refined=False, blur_px=None)
         if reading.platehood < self._settings.platehood_min or not is_convex(reading.corners_px):
             return _plain(given, reading)
         fit = self._outline(image, given, reading.light_on_dark)
@@ -77,13 +79,15 @@ class GlyphReader:
 
     def _outline(self, image: Image, given: OutlineFit, light_on_dark: bool) -> OutlineFit:
         """The image's own edges where they agree with the network's corners; else those corners."""
-        if not self._settings.refine:
+        if not self._settings.refine or size_px(given.corners_px)[1] < REFINE_HEIGHT_PX:
             return given
         fit = refine_outline(image, given.corners_px, given.sigma_px, light_on_dark)
         moved = float(np.abs(fit.corners_px - given.corners_px).max())
         if not fit.refined or moved > MOVED_SIGMAS * max(given.sigma_px, fit.sigma_px):
             return given
-        return fit if fit.sigma_px <= given.sigma_px else given
+        if fit.sigma_px > given.sigma_px:
+            return given
+        return replace(fit, corners_px=steadied(fit.corners_px, fit.sigma_px))
 
 
 def _classed(characters: tuple[CharacterBox, ...]) -> tuple[CharacterBox, ...]:
