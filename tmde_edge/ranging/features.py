@@ -32,6 +32,7 @@ class Features:
     corners: Floats
     corner_ok: Bools
     corner_sigma: float
+    refined: bool
     centre: Floats  # (2,) of the plate
     top: Floats
     bottom: Floats
@@ -102,7 +103,7 @@ def gather(plate: PlateSighting, camera: Camera, view_from_vehicle: Floats) -> F
     doubt = _doubt(edges, sigma_tb)
     return Features(
         focal_px=focal, corners=corners, corner_ok=corner_ok, corner_sigma=max(plate.corners_sigma_px, 0.02) / focal,
-        centre=centre, top=edges[:, 0], bottom=edges[:, 1], left=edges[:, 2], right=edges[:, 3],
+        refined=plate.refined, centre=centre, top=edges[:, 0], bottom=edges[:, 1], left=edges[:, 2], right=edges[:, 3],
         sigma_tb=sigma_tb * doubt, doubt=doubt,
         sigma_lr=np.array([max(g.sigma_lr_px, 0.02) / focal for g in glyphs]),
         row=rows, runs=_runs((edges[:, 2] + edges[:, 3]) / 2, rows), stroke=_norm(plate.stroke_px, focal),

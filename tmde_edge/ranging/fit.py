@@ -26,8 +26,9 @@ _MAX_STEPS = 9
 _CLOSE = 0.02  # expected fall of the cost at which the last step is taken unseen: 0.14 sigma
 _GLYPH_C = 2.4  # Cauchy scale in sigmas: 95 % efficient on Gaussian noise
 _CORNER_C = 3.0
-_ANGLE_C = 2.0
+_ANGLE_C = 4.0
 _WILD = 5.0  # sigmas
+_NEW_IN_A_FRAME = 0.5  # share of the variance of errors common to one frame's features
 _PRIOR_DOF = 6.0  # residuals worse than stated must show on more than a few features before the noise is scaled
 _SIGNS = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
 
@@ -49,6 +50,7 @@ class Model:
     pitch_jitter_m: float
     mean: Floats
     information: Floats
+    frame_bias: Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,6 +211,10 @@ class _Problem:
         excess = max(1.0, (state.cost + _PRIOR_DOF) / (count + _PRIOR_DOF))
         noise = inverse @ state.data @ inverse * excess
         prior = inverse @ state.assumed @ inverse * excess
+        # Edge errors that one frame's features share come partly new with the next frame: the grid has moved on.
+        spread = inverse @ state.assumed[:, POSE:]
+        moving = _NEW_IN_A_FRAME * (spread * self.m.frame_bias) @ spread.T * excess
+        noise, prior = noise + moving, prior - moving
         sign, logdet = np.linalg.slogdet(state.normal)
         prior_logdet = np.linalg.slogdet(self.m.information)[1]
         evidence = -0.5 * state.cost + 0.5 * (prior_logdet - (logdet if sign > 0 else 0.0))

@@ -75,8 +75,8 @@ def expectation(standard: PlateStandard, settings: RangingSettings) -> Expectati
         w, h = UNKNOWN_OUTLINE_MM
         outline_sizes = [(w, UNKNOWN_SIGMA * w), (h, UNKNOWN_SIGMA * h)]
     else:
-        frame = 2**0.5 * settings.outline_sigma_mm
-        outline_sizes = [(m, float(np.hypot(s, frame))) for m, s in outline]
+        seen = (2**0.5 * settings.outline_sigma_mm, 2**0.5 * settings.outline_sigma_tb_mm)
+        outline_sizes = [(m, float(np.hypot(s, frame))) for (m, s), frame in zip(outline, seen, strict=True)]
     guess = UNKNOWN_PITCH_OF_GLYPH * heights[0][0]
     pitch = standard.pitch_belief() or (guess, UNKNOWN_SIGMA * guess)
     every = np.array([*heights, *outline_sizes, pitch])
@@ -97,9 +97,10 @@ def size_bias(expected: Expectation, features: Features, settings: RangingSettin
     out[:k] = (features.glyph_bias(settings.glyph_bias_px, settings.min_char_height_px) / typical) ** 2
     # Corners come from fitted edges: part of their error is common to both ends of an edge.
     edge_px = float(np.hypot(settings.outline_bias_px, 0.5 * features.corner_sigma * features.focal_px))
-    for place, side in ((k, features.width), (k + 1, features.height)):
+    rough = (0.0, 0.0) if features.refined else (settings.unrefined_width_sigma, settings.unrefined_height_sigma)
+    for place, side, more in ((k, features.width, rough[0]), (k + 1, features.height, rough[1])):
         if side is not None:
-            out[place] = (2**0.5 * edge_px / (side * features.focal_px)) ** 2
+            out[place] = (2**0.5 * edge_px / (side * features.focal_px)) ** 2 + more**2
     return np.minimum(out, 0.25)
 
 
@@ -175,7 +176,7 @@ def build_model(expected: Expectation, features: Features, known: Sizes, bias: F
     return Model(
         class_height_m=expected.size_m[:k], width_m=float(expected.size_m[k]), height_m=float(expected.size_m[k + 1]),
         pitch_m=float(expected.size_m[k + 2]), glyph_class=glyph_class, glyph_jitter=settings.glyph_jitter,
-        pitch_jitter_m=settings.pitch_jitter_mm / 1000, mean=mean, information=information,
+        pitch_jitter_m=settings.pitch_jitter_mm / 1000, mean=mean, information=information, frame_bias=bias,
     )
 
 

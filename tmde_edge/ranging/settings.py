@@ -20,7 +20,10 @@ class RangingSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     max_relative_sigma: Positive = 0.25  # a distance less certain than this is no answer
     min_distance_m: Positive = 0.15
     max_distance_m: Positive = 200.0
-    outline_sigma_mm: NotNegative = 2.5  # where the seen outline lies against the legal edge: frames, lips, screws
+    outline_sigma_mm: NotNegative = 2.5  # where a seen side edge lies against the legal one: frames, lips
+    outline_sigma_tb_mm: NotNegative = 3.7  # the same for upper and lower edges: shadows and recesses too
+    unrefined_height_sigma: NotNegative = 0.08  # of a plate whose edges were not found to sub-pixels, relative
+    unrefined_width_sigma: NotNegative = 0.015
     outline_bias_px: NotNegative = 0.20  # common error of opposite plate edges
     glyph_bias_px: NotNegative = 0.05  # common outward error of all top and bottom edges (threshold, blur)
     glyph_jitter: NotNegative = 0.010  # relative height differences between characters of one class

@@ -77,7 +77,7 @@ def test_sigma_is_honest_and_not_lazy(id_: str, width_px: float) -> None:
     outline, height = s.outline_belief(), s.main_class.height
     assert outline is not None
     assert height is not None
-    frame = 2**0.5 * JOINT.outline_sigma_mm
+    frame, frame_tb = 2**0.5 * JOINT.outline_sigma_mm, 2**0.5 * JOINT.outline_sigma_tb_mm
     mean, sigma = height.belief("glyph_height")
     z = []
     for _ in range(90):
@@ -97,7 +97,7 @@ def test_sigma_is_honest_and_not_lazy(id_: str, width_px: float) -> None:
             glyph_sigma=0.15,
             glyph_mm=rng.normal(mean, sigma),
             width_mm=rng.normal(outline[0][0], np.hypot(outline[0][1], frame)),
-            height_mm=rng.normal(outline[1][0], np.hypot(outline[1][1], frame)),
+            height_mm=rng.normal(outline[1][0], np.hypot(outline[1][1], frame_tb)),
         )
         measured = ranged(r, plate)
         z.append(abs(measured.distance_m - d) / measured.sigma_m)
