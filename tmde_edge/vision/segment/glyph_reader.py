@@ -79,7 +79,9 @@ class GlyphReader:
 
     def _outline(self, image: Image, given: OutlineFit, light_on_dark: bool) -> OutlineFit:
         """The image's own edges where they agree with the network's corners; else those corners."""
-        if not self._settings.refine or size_px(given.corners_px)[1] < REFINE_HEIGHT_PX:
+        if size_px(given.corners_px)[1] < REFINE_HEIGHT_PX:
+            return replace(given, refined=True)
+        if not self._settings.refine:
             return given
         fit = refine_outline(image, given.corners_px, given.sigma_px, light_on_dark)
         moved = float(np.abs(fit.corners_px - given.corners_px).max())

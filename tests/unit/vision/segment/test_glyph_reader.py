@@ -1,0 +1,83 @@
+"""GlyphReader round a made-up network that errs by a known amount."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scenes import plate_still
+
+from tmde_edge.vision.protocols import PlateCandidate
+from tmde_edge.vision.segment.glyph_decode import Glyph, GlyphReading
+from tmde_edge.vision.segment.glyph_reader import GlyphReader
+from tmde_edge.vision.settings import SegmenterSettings
+
+
+class Network:
+    """Knows the truth, moved by an error; sigma as told."""
+
+    def __init__(self, still, corner_error_px=0.0, glyph_error=0.0, sigma_px=0.8, platehood=0.99):
+        self.still, self.corner_error, self.glyph_error = still, corner_error_px, glyph_error
+        self.sigma, self.platehood = sigma_px, platehood
+
+    def read(self, image, corners_px):
+        rng = np.random.default_rng(5)
+        glyphs = []
+        for box, main in zip(self.still.glyph_boxes_px, self.still.face.main, strict=True):
+            height = box[3, 1] - box[0, 1]
+            top, bottom = (box[0] + box[1]) / 2, (box[2] + box[3]) / 2
+            left, right = (box[0] + box[3]) / 2, (box[1] + box[2]) / 2
+            dl, dr, dt, db = rng.normal(0, self.glyph_error * height, 4)
+            glyphs.append(Glyph(
+                left_px=left + np.array([dl, 0]), right_px=right + np.array([dr, 0]), top_px=top + np.array([0, dt]),
+                bottom_px=bottom + np.array([0, db]), score=0.9, main=main, row=0,
+            ))
+        corners = self.still.corners_px + rng.normal(0, self.corner_error, (4, 2))
+        reading = GlyphReading(
+            platehood=self.platehood, corners_px=corners, sigma_px=np.full(4, self.sigma), glyphs=tuple(glyphs),
+            light_on_dark=False,
+        )
+        return [reading] * len(corners_px)
+
+
+def _read(still, network):
+    candidate = PlateCandidate(corners_px=still.corners_px, score=0.9)
+    return GlyphReader(network, SegmenterSettings()).read(still.image, [candidate])[0]
+
+
+@pytest.mark.parametrize("standard", ["de-mittel", "us-mi", "ru-1"])
+def test_heights_are_measured_in_the_image_not_taken_from_the_network(standard):
+    still = plate_still(standard, 240, seed=3)
+    reading = _read(still, Network(still, corner_error_px=1.0, glyph_error=0.03))
+    heights = [np.hypot(*(c.bottom_px - c.top_px)) for c in reading.characters if c.main]
+    assert np.mean(heights) == pytest.approx(still.char_height_px, rel=0.006)
+    assert [c.main for c in reading.characters] == list(still.face.main)
+    assert reading.platehood == 0.99
+    spec = still.face.spec
+    assert reading.stroke_px == pytest.approx(spec.glyphs[1].stroke_mm * still.width_px / spec.width_mm, rel=0.12)
+
+
+def test_the_outline_is_the_images_where_it_shows():
+    errors = []
+    for seed in range(4):
+        still = plate_still("de-mittel", 240, seed=seed)
+        reading = _read(still, Network(still, corner_error_px=1.0, sigma_px=1.0))
+        errors.append(np.median(np.abs(reading.corners_px - still.corners_px)))
+        assert reading.corners_sigma_px <= 1.0
+    assert np.median(errors) < 0.3
+
+
+def test_small_plates_keep_the_networks_corners():
+    still = plate_still("de-mittel", 50)
+    reading = _read(still, Network(still, sigma_px=0.3))
+    assert reading.refined
+    assert reading.corners_sigma_px == pytest.approx(0.3)
+    assert np.abs(reading.corners_px - still.corners_px).max() < 0.1
+
+
+def test_what_is_no_plate_is_not_measured():
+    still = plate_still("us-mi", 200)
+    reading = _read(still, Network(still, platehood=0.1))
+    assert reading.platehood == 0.1
+    assert not reading.refined
+    assert reading.stroke_px is None
+    assert GlyphReader(Network(still), SegmenterSettings()).read(still.image, []) == []
