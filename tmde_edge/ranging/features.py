@@ -14,6 +14,7 @@ Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 EDGE_MARGIN_PX = 1.5  # closer to the frame's edge a feature may be cut
+_LEAST_TURN_PX2 = 2.0  # of two edges at a corner
 _UNTESTED = 1.3  # doubt where too few characters can be compared
 _MOST_DOUBT = 6.0
 _SHAPE_SCATTER = 0.01  # relative: letters of one class are not all exactly as tall
@@ -92,7 +93,7 @@ def gather(plate: PlateSighting, camera: Camera, view_from_vehicle: Floats) -> F
         (pixels[:4, 0] >= EDGE_MARGIN_PX) & (pixels[:4, 0] <= camera.width_px - 1 - EDGE_MARGIN_PX)
         & (pixels[:4, 1] >= EDGE_MARGIN_PX) & (pixels[:4, 1] <= camera.height_px - 1 - EDGE_MARGIN_PX)
     )
-    corner_ok &= inside
+    corner_ok &= inside & _is_plate(pixels[:4])
     rays = _rays(camera, view_from_vehicle, np.where(np.isfinite(pixels), pixels, 0.0))
     focal = camera.focal_px
     edges = rays[4:].reshape(n, 4, 2)
@@ -143,6 +144,16 @@ def _doubt(edges: Floats, sigma_tb: Floats) -> float:
         return _UNTESTED
     scatter = float(np.sqrt(np.mean(np.minimum(np.concatenate(found) ** 2, _MOST_DOUBT**2))))
     return float(np.clip(scatter, 1.0, _MOST_DOUBT))
+
+
+def _is_plate(corners_px: Floats) -> bool:
+    """Whether the finite corners stand in order round a convex outline that has a size; else none of them is believed."""
+    for a, b, c in ((0, 1, 2), (1, 2, 3), (2, 3, 0), (3, 0, 1)):
+        first, second = corners_px[b] - corners_px[a], corners_px[c] - corners_px[b]
+        turn = float(first[0] * second[1] - first[1] * second[0])
+        if np.isfinite(turn) and turn < _LEAST_TURN_PX2:
+            return False
+    return True
 
 
 def _rays(camera: Camera, view_from_vehicle: Floats, pixels: Floats) -> Floats:

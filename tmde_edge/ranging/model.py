@@ -156,17 +156,14 @@ def misplaced(expected: Expectation, glyph_class: Ints) -> float:
 
 
 def build_model(expected: Expectation, features: Features, known: Sizes, bias: Floats, glyph_class: Ints,
-                distance_m: float, state: TrackScale | None, age_s: float, settings: RangingSettings) -> Model:
+                distance_m: float, settings: RangingSettings) -> Model:
     """The fit's model with all priors: angles (learned where a track is followed), position, sizes."""
     k = expected.classes
     p = POSE + k + 3
     mean, information = np.zeros(p), np.zeros((p, p))
     sigma_yaw, sigma_lean = settings.yaw_sigma_rad, settings.lean_sigma_rad
-    if state is not None:
-        turned = settings.yaw_rate_sigma_radps * max(age_s, 0.0)
-        sigma_yaw = min(float(np.hypot(state.yaw_sigma_rad, turned)), sigma_yaw)
-        sigma_lean = min(float(np.hypot(state.lean_sigma_rad, 0.3 * turned)), sigma_lean)
-        mean[YAW], mean[LEAN] = state.yaw_rad, state.lean_rad
+    # The heading is judged anew in every frame: what makes a far plate look turned (its blurred height) is the same in all
+    # of them, and a memory would take it for knowledge. The track's last heading only says where to start (starts()).
     reach = expected.size_m[k] / distance_m
     mean[U], mean[V], mean[LOG_D] = features.centre[0], features.centre[1], np.log(distance_m)
     sigma = np.array([sigma_yaw, sigma_lean, settings.roll_sigma_rad, reach, reach, 5.0])

@@ -157,8 +157,7 @@ class Ranger:
         learned = known.sizes.get(group.id) if known is not None and self.settings.memory else None
         sizes = learned or expected.sizes
         bias = size_bias(expected, features, self.settings)
-        age_s = (t_ns - known.t_ns) * 1e-9 if known is not None else 0.0
-        model = build_model(expected, features, sizes, bias, glyph_class, distance, known, age_s, self.settings)
+        model = build_model(expected, features, sizes, bias, glyph_class, distance, self.settings)
         fits = _solutions(features, model, starts(expected, features, model, known))
         if not fits:
             return None
@@ -197,7 +196,10 @@ class Ranger:
         share = self.settings.memory_share
         for a in answers:
             cov = a.fit.covariance[POSE:, POSE:]
-            sizes[a.group.id] = learn(a.known, a.bias, a.fit.x[POSE:], cov, share)
+            # Only a plate seen large tells its proportions: far away blur thickens characters and edges alike, every frame.
+            heights_px = sorted(g.height_px for g in plate.glyphs)
+            large = bool(heights_px) and heights_px[len(heights_px) // 2] >= self.settings.memory_char_height_px
+            sizes[a.group.id] = learn(a.known, a.bias, a.fit.x[POSE:], cov, share) if large else a.known
         best = max(answers, key=lambda a: belief[a.group.id])
         mean, _ = _mixed(parts)
         offsets = {k: p.log_d - mean for k, p in parts.items()}

@@ -21,18 +21,18 @@ class RangingSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     min_distance_m: Positive = 0.15
     max_distance_m: Positive = 200.0
     outline_sigma_mm: NotNegative = 2.5  # where a seen side edge lies against the legal one: frames, lips
-    outline_sigma_tb_mm: NotNegative = 3.7  # the same for upper and lower edges: shadows and recesses too
+    outline_sigma_tb_mm: NotNegative = 5.0  # the same for upper and lower edges: shadows and recesses too
     unrefined_height_sigma: NotNegative = 0.08  # of a plate whose edges were not found to sub-pixels, relative
     unrefined_width_sigma: NotNegative = 0.015
-    outline_bias_px: NotNegative = 0.20  # common error of opposite plate edges
+    outline_bias_px: NotNegative = 0.35  # common error of opposite plate edges
     glyph_bias_px: NotNegative = 0.05  # common outward error of all top and bottom edges (threshold, blur)
     glyph_jitter: NotNegative = 0.010  # relative height differences between characters of one class
     pitch_jitter_mm: NotNegative = 1.5  # ink is not centred in its cell
     yaw_sigma_rad: Positive = 0.12  # heading of a plate nothing is known of; long tails
     lean_sigma_rad: Positive = 0.10  # plates lean with the boot lid; long tails
     roll_sigma_rad: Positive = 0.10
-    yaw_rate_sigma_radps: Positive = 0.15  # how fast a followed plate may turn
     belief_floor: Positive = 0.02  # standards less probable than this are not fitted
     max_fits: Annotated[int, msgspec.Meta(ge=1, le=16)] = 8  # how many standards are fitted to a plate seen for the first time
     memory: bool = True  # learn a track's own proportions
+    memory_char_height_px: Positive = 10.0  # from a plate whose characters are at least this tall in the image
     memory_share: Annotated[float, msgspec.Meta(gt=0, le=1)] = 0.2  # information of one frame that is new to a track

@@ -65,7 +65,7 @@ class SegmenterSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields
     kind: Literal["glyphnet", "paper"] = "glyphnet"  # our network, or the paper's Algorithm 2 (two thresholds)
     trim_k: Annotated[int, Meta(ge=0, le=10)] = 0  # the mean leaves out the k tallest and k shortest (paper: 2)
     min_characters: Annotated[int, Meta(ge=0)] = 3  # fewer than this give no character height
-    platehood_min: Fraction = 0.5  # a reader that is less sure than this that it reads a plate rejects the candidate
+    platehood_min: Fraction = 0.6  # a reader that is less sure than this that it reads a plate rejects the candidate
     refine: bool = True  # sub-pixel plate outline in the source image
 
 
