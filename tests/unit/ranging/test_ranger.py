@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from plate_scenes import AHEAD, CAMERA, sighting
 
 from tmde_edge.geometry.pinhole import Camera, view_from_vehicle
-from tmde_edge.messages import RangeMeasurement
+from tmde_edge.messages import GlyphSighting, RangeMeasurement
 from tmde_edge.plates.standard import load_standards, select
 from tmde_edge.ranging.budget import ideal_sighting
 from tmde_edge.ranging.ranger import Ranger
@@ -229,3 +229,56 @@ def test_auto_finds_the_class_or_says_how_unsure_it_is(id_: str) -> None:
 def test_a_ranger_without_standards_is_refused() -> None:
     with pytest.raises(ValueError):
         Ranger(JOINT, [])
+
+
+def test_characters_that_scatter_more_than_stated_are_believed_less() -> None:
+    rng = np.random.default_rng(2)
+    honest = sighting(STANDARDS["de-mittel"], distance_m=12.0, rng=rng, corner_sigma=0.3, glyph_sigma=0.1)
+
+    def shaken(g: GlyphSighting) -> GlyphSighting:
+        return replace(g, top_px=(g.top_px[0], g.top_px[1] + rng.normal(0, 0.5)))
+
+    worse = replace(honest, glyphs=tuple(shaken(g) for g in honest.glyphs))
+    r = ranger("de-mittel")
+    assert ranged(r, worse).sigma_m > 1.25 * ranged(r, honest).sigma_m
+
+
+def test_an_outline_that_was_not_refined_is_believed_less() -> None:
+    plate = replace(sighting(STANDARDS["pl-2"], distance_m=6.0, corner_sigma=0.3), glyphs=())
+    refined, rough = (ranged(ranger("pl-2"), replace(plate, refined=r)) for r in (True, False))
+    assert rough.sigma_m > 1.1 * refined.sigma_m
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.sampled_from(["auto", "us", "ru"]),
+    st.lists(st.tuples(st.floats(-400, 2400), st.floats(-400, 1500)), min_size=4, max_size=4),
+    st.integers(0, 8),
+    st.sampled_from([0.0, 0.3, 5.0]),
+    st.booleans(),
+)
+def test_any_quadrilateral_gives_a_finite_answer_or_a_reason(
+    expect: str, corners: list[tuple[float, float]], glyphs: int, sigma: float, collapse: bool
+) -> None:
+    plate = sighting(STANDARDS["us-mi"], distance_m=6.0, glyph_sigma=0.2)
+    corners = [corners[0]] * 4 if collapse else corners
+    plate = replace(
+        plate, corners_px=(corners[0], corners[1], corners[2], corners[3]), glyphs=plate.glyphs[:glyphs], corners_sigma_px=sigma
+    )
+    state = None
+    for i in range(2):
+        measured, state, reason = ranger(expect).measure(plate, CAMERA, AHEAD, i * 10**8, state)
+        if measured is None:
+            assert reason
+            continue
+        numbers = [
+            measured.distance_m,
+            measured.sigma_m,
+            measured.noise_m,
+            measured.scale_sigma,
+            measured.lateral_m,
+            measured.lateral_sigma_m,
+        ]
+        assert np.isfinite(numbers).all()
+        assert measured.sigma_m > 0
+        assert np.isfinite([x for c in measured.cues for x in (c.distance_m, c.sigma_m)]).all()
