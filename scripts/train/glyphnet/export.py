@@ -12,6 +12,21 @@ import torch
 from net import GlyphNet
 
 
+def store_half(model: onnx.ModelProto) -> None:
+    """Keep big weights as fp16 and widen them at load: half the file, the same fp32 arithmetic."""
+    graph = model.graph
+    casts = []
+    for tensor in graph.initializer:
+        values = onnx.numpy_helper.to_array(tensor)
+        if values.dtype != np.float32 or values.size < 64 or "grid" in tensor.name:
+            continue
+        name = tensor.name
+        tensor.CopyFrom(onnx.numpy_helper.from_array(values.astype(np.float16), name + "_half"))
+        casts.append(onnx.helper.make_node("Cast", [name + "_half"], [name], to=onnx.TensorProto.FLOAT))
+    for node in reversed(casts):
+        graph.node.insert(0, node)
+
+
 def main() -> None:
     """Exports, checks against torch, prints the size."""
     checkpoint, out = Path(sys.argv[1]), Path(sys.argv[2])
@@ -24,6 +39,8 @@ def main() -> None:
     )
     model = onnx.load(str(out))
     model.doc_string = "GlyphNet of tmde-edge: plate-ness, corners and characters of a plate candidate"
+    store_half(model)
+    onnx.checker.check_model(model)
     onnx.save(model, str(out))
     x3 = torch.randn(3, 1, 64, 192)
     with torch.no_grad():
