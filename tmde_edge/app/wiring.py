@@ -16,7 +16,7 @@ from tmde_edge.adapters.cameras.disabled import DisabledCamera
 from tmde_edge.adapters.cameras.live_camera import LiveCamera
 from tmde_edge.adapters.cameras.played_file import PlayedFile
 from tmde_edge.adapters.cameras.v4l2 import V4l2Camera, V4l2Settings
-from tmde_edge.adapters.can_ports.dbc_files import load_vehicle_decoder
+from tmde_edge.adapters.can_ports.dbc_files import load_vehicle_decoder, with_profile
 from tmde_edge.adapters.depth.manifest import find_model, models_folder
 from tmde_edge.adapters.depth.paced import Network, PacedDepth
 from tmde_edge.adapters.depth.recorded import RecordedDepth
@@ -131,12 +131,12 @@ def measure_with(config: Config, paths: Sequence[Path]) -> Iterator[Record]:
 
 
 def log_config(config: Config, base_dir: Path) -> dict[str, object]:
-    """What a drive log keeps of the configuration: every value, and the files it names, so that a replay needs nothing else."""
+    """What a drive log keeps of the configuration: every value, and the DBC, so that a replay needs nothing else."""
+    can = with_profile(config.can, base_dir) if config.can.enabled else config.can
     files = {}
-    for name in (config.can.vehicle.dbc, config.can.vehicle.profile):
-        if name and config.can.enabled:
-            files[name] = (base_dir / name).read_bytes().decode("utf-8", errors="surrogateescape")
-    return {"values": to_tree(config), "files": files}
+    if can.enabled and can.vehicle.dbc:
+        files[can.vehicle.dbc] = (base_dir / can.vehicle.dbc).read_bytes().decode("utf-8", errors="surrogateescape")
+    return {"values": to_tree(msgspec.structs.replace(config, can=can)), "files": files}
 
 
 def replay_log(path: Path) -> Outcome:
@@ -151,11 +151,7 @@ def replay_log(path: Path) -> Outcome:
             for i, (name, text) in enumerate(kept["files"].items()):
                 renamed[name] = f"{i}-{Path(name).name}"
                 (Path(folder) / renamed[name]).write_bytes(text.encode("utf-8", errors="surrogateescape"))
-            vehicle = msgspec.structs.replace(
-                vehicle,
-                dbc=renamed.get(vehicle.dbc or "", vehicle.dbc),
-                profile=renamed.get(vehicle.profile, vehicle.profile),
-            )
+            vehicle = msgspec.structs.replace(vehicle, dbc=renamed.get(vehicle.dbc or "", vehicle.dbc))
             config = msgspec.structs.replace(config, can=msgspec.structs.replace(config.can, vehicle=vehicle))
             return build_estimation(config, Path(folder))
 

@@ -118,7 +118,7 @@ class Perception:
         for c, r in sorted(found, key=lambda pair: -_joint_score(*pair)):
             # two candidates may turn out to be one plate once their corners are read
             double = any(box_iou(r.corners_px, s.corners_px) > SAME_STILL_IOU for s in shown)
-            if self._credible(r) and not double:
+            if self._credible(r, self._segmenter.still_platehood_min) and not double:
                 shown.append(r)
                 score = _joint_score(c, r)
                 plates.append(
@@ -280,8 +280,9 @@ class Perception:
         """The score of a plate that the detector has not seen since: none is left when the track ends."""
         return track.score * max(0.0, 1.0 - (t_ns - track.seen_ns) * 1e-9 / self._detector.lost_s)
 
-    def _credible(self, reading: PlateReading) -> bool:
-        return reading.platehood is None or reading.platehood >= self._segmenter.platehood_min
+    def _credible(self, reading: PlateReading, least: float | None = None) -> bool:
+        least = self._segmenter.platehood_min if least is None else least
+        return reading.platehood is None or reading.platehood >= least
 
     @staticmethod
     def _inside(track: _Track, image: Image) -> bool:

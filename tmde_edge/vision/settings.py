@@ -16,7 +16,7 @@ class DetectorSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     """Which finder, where and how often it looks, and when a plate counts as seen."""
 
     kind: Literal["platenet", "contour", "onnx"] = "platenet"  # our network, the paper, a network of yours
-    score_min: Fraction = 0.42  # candidates below this are not plates (strict mode)
+    score_min: Fraction = 0.5  # candidates below this are not plates (strict mode)
     permissive_score_min: Fraction = 0.3  # the same in permissive mode
     permissive_after_frames: PositiveInt = 30  # without a plate: permissive; strict again on success
     confident_score: Fraction = 0.8  # a new plate this sure is reported at once; others when seen confirm_hits times
@@ -66,6 +66,7 @@ class SegmenterSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields
     trim_k: Annotated[int, Meta(ge=0, le=10)] = 0  # the mean leaves out the k tallest and k shortest (paper: 2)
     min_characters: Annotated[int, Meta(ge=0)] = 3  # fewer than this give no character height
     platehood_min: Fraction = 0.6  # a reader that is less sure than this that it reads a plate rejects the candidate
+    still_platehood_min: Fraction = 0.9  # the same for stills, which no second frame confirms
     refine: bool = True  # sub-pixel plate outline in the source image
 
 
