@@ -93,7 +93,7 @@ def _parser() -> argparse.ArgumentParser:
     desk.add_argument("--fps", metavar="N", type=float, default=30.0, help="rate of image folders (default 30)")
     desk.add_argument("--can-out", metavar="FILE", help="the CAN frames that would be sent, as candump -L")
     desk.add_argument("--video-out", metavar="FILE.mp4", type=Path, help="annotated video")
-    desk.add_argument("--report", metavar="FOLDER", type=Path, help="HTML report with plots")
+    desk.add_argument("--report", metavar="FOLDER", type=Path, help="HTML report with plots (not in this version)")
     desk.add_argument("--record", metavar="FILE.mcap", type=Path, help="drive log of every input and output")
     desk.add_argument("--truth", metavar="FILE.csv", type=Path, help="true distances (columns frame, distance_m): adds errors")
     verbs = parser.add_subparsers(dest="verb", metavar="COMMAND", title="commands")

@@ -143,4 +143,6 @@ def run_desk(config: Config, base_dir: Path, options: DeskOptions) -> Desk:
     """Checks inputs at once, so that errors come before any work."""
     if options.can_log is None and options.can_offset_s:
         raise UsageError("--can-offset needs --can-log")
+    if options.report is not None:
+        raise UsageError("--report: not in this version; --jsonl and --truth give the numbers, --video-out the picture")
     return Desk(config, base_dir, options)
