@@ -27,6 +27,9 @@ UNKNOWN_OUTLINE_MM = (520.0, 111.0)
 _CLASS_SIGMA = 0.06  # a glyph's log height about its class, when classes are told apart
 _NO_CLASS = 3.0  # sigmas at which a glyph belongs to no class
 _SCALE_SIGMA = 0.10  # of the distance that the outline suggests
+_YAW_C, _LEAN_C, _OUTLINE_C = 2.0, 4.0, 2.0  # Cauchy scales of the priors, in their sigmas
+_GAUSSIAN = 1e3
+_DISAGREE = 0.05  # log distance by the characters against that by the outline
 _TALL_MISSING = 2.0  # cost of having seen small characters only
 
 
@@ -157,7 +160,7 @@ def misplaced(expected: Expectation, glyph_class: Ints) -> float:
 
 def build_model(expected: Expectation, features: Features, known: Sizes, bias: Floats, glyph_class: Ints,
                 distance_m: float, settings: RangingSettings) -> Model:
-    """The fit's model with all priors: angles (learned where a track is followed), position, sizes."""
+    """The fit's model with all priors: angles, position, sizes (learned where a track is followed)."""
     k = expected.classes
     p = POSE + k + 3
     mean, information = np.zeros(p), np.zeros((p, p))
@@ -168,12 +171,16 @@ def build_model(expected: Expectation, features: Features, known: Sizes, bias: F
     mean[U], mean[V], mean[LOG_D] = features.centre[0], features.centre[1], np.log(distance_m)
     sigma = np.array([sigma_yaw, sigma_lean, settings.roll_sigma_rad, reach, reach, 5.0])
     information[np.arange(POSE), np.arange(POSE)] = sigma**-2
-    information[POSE:, POSE:] = np.linalg.inv(known.covariance + np.diag(bias))
+    blurred = known.covariance + np.diag(bias)
+    information[POSE:, POSE:] = np.linalg.inv(blurred)
+    tail_c = np.full(p, _GAUSSIAN)
+    tail_c[YAW], tail_c[LEAN], tail_c[POSE + k : POSE + k + 2] = _YAW_C, _LEAN_C, _OUTLINE_C
     mean[POSE:] = known.mean
     return Model(
         class_height_m=expected.size_m[:k], width_m=float(expected.size_m[k]), height_m=float(expected.size_m[k + 1]),
         pitch_m=float(expected.size_m[k + 2]), glyph_class=glyph_class, glyph_jitter=settings.glyph_jitter,
         pitch_jitter_m=settings.pitch_jitter_mm / 1000, mean=mean, information=information, frame_bias=bias,
+        tail_sigma=np.concatenate([sigma, np.sqrt(blurred.diagonal())]), tail_c=tail_c,
     )
 
 
@@ -182,6 +189,7 @@ def starts(expected: Expectation, features: Features, model: Model, state: Track
     facing = model.mean.copy()
     facing[ROLL] = _row_slope(features)
     if state is not None and state.yaw_sigma_rad < 0.15:
+        facing[YAW], facing[LEAN] = state.yaw_rad, state.lean_rad
         return [facing]
     k = expected.classes
     found = []
@@ -196,7 +204,15 @@ def starts(expected: Expectation, features: Features, model: Model, state: Track
             x[LOG_D] += model.mean[POSE + k]
             if abs(x[YAW]) < 1.2 and abs(x[LEAN]) < 0.8:
                 found.append(x)
-    return [*found, facing]
+    found.append(facing)
+    by_glyph = facing.copy()
+    used = model.glyph_class >= 0
+    if used.any():
+        each = model.class_height_m[model.glyph_class[used]] / features.heights[used]
+        by_glyph[LOG_D] = np.log(np.median(each))
+        if abs(by_glyph[LOG_D] - facing[LOG_D]) > _DISAGREE:  # an outline that is not the plate's
+            found.append(by_glyph)
+    return found
 
 
 def _row_slope(features: Features) -> float:

@@ -97,8 +97,10 @@ class Ranger:
         scores = self._scores(plate, features, known)
         answers = self._fit_all(features, known, t_ns, scores)
         if answers and known is not None and known.misfits + 1 >= _MISFITS_TO_RESET and self._misfit(answers):
-            known, scores = None, self._scores(plate, features, None)
-            answers = self._fit_all(features, None, t_ns, scores)
+            anew = self._scores(plate, features, None)
+            fresh = self._fit_all(features, None, t_ns, anew)
+            if fresh and not self._misfit(fresh):  # else it is the outline that is wrong, not the memory
+                known, scores, answers = None, anew, fresh
         if not answers:
             return None, empty, "no planar pose fits what was seen"
         belief = self._belief(answers, known, scores)
