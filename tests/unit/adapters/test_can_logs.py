@@ -143,7 +143,7 @@ def test_a_bad_line_is_named(tmp_path: Path) -> None:
         ("x.blf", b"not a blf file at all, but long enough to be one" * 10, "not readable as blf"),
         ("x.asc", b"some text\nmore text\n", "asc"),
         ("x.trc", b"some text\nmore text\n", "trc"),
-        ("x.log.gz", gzip.compress(b"(0.0) can0 0B4#00\n" * 5000)[:60], "damaged gzip file"),
+        ("x.log.gz", gzip.compress(b"(0.0) can0 0B4#00\n" * 5000, mtime=0)[:60], "damaged gzip file"),
         ("truncated.log", b"(0.0) can0 0B", "line 1"),
     ],
 )
