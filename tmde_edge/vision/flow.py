@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from tmde_edge.vision.align import align
 from tmde_edge.vision.protocols import Image
 from tmde_edge.vision.rectify import bounds, size_px, to_grey
 from tmde_edge.vision.settings import FlowSettings
@@ -18,6 +19,7 @@ from tmde_edge.vision.settings import FlowSettings
 Array = NDArray[np.float64]
 WIDEST_PX = 384  # of the window in tracking pixels
 MOTION_MARGIN_PX = 24  # of the window round the ring, in tracking pixels
+GROWTH_FLOOR = 2e-4  # of a ratio's sigma: lens, rolling shutter, a rear that is not flat
 POINT_FLOOR_PX = 0.03  # error of one feature that residuals do not show, tracking pixels
 
 
@@ -35,7 +37,7 @@ class Template:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Growth:
-    """Image size now / then, with its sigma, from how many features."""
+    """Image size now / then, with its sigma, from how many features or pixels."""
 
     ratio: float
     sigma: float
@@ -79,14 +81,7 @@ def make_template(image: Image, corners_px: Array, settings: FlowSettings) -> Te
         return None
     grey, origin = _window(image, left, top, cols, rows, reduce)
     flat = (corners_px - origin) * scale
-    inside = np.zeros(grey.shape, np.uint8)
-    cv2.fillConvexPoly(inside, np.rint(flat).astype(np.int32), 255)
-    outer = np.zeros(grey.shape, np.uint8)
-    rx0, ry0, rx1, ry1 = bounds(flat)
-    r = ring * scale
-    cv2.rectangle(outer, (int(rx0 - r), int(ry0 - r)), (int(rx1 + r), int(ry1 + r)), 255, -1)
-    grown = cv2.dilate(inside, np.ones((3, 3), np.uint8))
-    outer[grown > 0] = 0
+    inside, outer = _masks(grey.shape, flat, ring * scale)
     plate_points = _features(grey, inside, settings, spacing_px=max(2.0, 0.12 * height * scale))
     ring_points = _features(grey, outer, settings, spacing_px=max(3.0, 0.25 * height * scale))
     return Template(
@@ -118,6 +113,42 @@ def follow(template: Template, image: Image, guess_px: Array, settings: FlowSett
         plate=None if plate is None else Growth(ratio=plate.ratio, sigma=plate.ratio_sigma, points=plate.inliers),
         rear=None if rear is None else Growth(ratio=rear.ratio, sigma=rear.ratio_sigma, points=rear.inliers),
     )
+
+
+def grow(template: Template, image: Image, now_px: Array, settings: FlowSettings) -> tuple[Growth | None, Growth | None]:
+    """Growth of the plate and of the rear round it since the template, by all their pixels; None where these do not settle.
+
+    now_px: the plate's corners (4, 2) in the later image, right to a pixel or two.
+    """
+    rows, cols = template.grey.shape
+    at = np.rint(template.origin_px + now_px.mean(axis=0) - template.corners_px.mean(axis=0))
+    grey, origin = _window(image, int(at[0]), int(at[1]), cols, rows, template.reduce)
+    move = _between(template.corners_px, now_px)
+    # from template pixels to window pixels: source = origin + reduce * pixel in both
+    linear = move[:, :2]
+    shift = (linear @ template.origin_px + move[:, 2] - origin) / template.reduce
+    start = np.column_stack([linear, shift])
+    flat = (template.corners_px - template.origin_px) / template.reduce
+    found: list[Growth | None] = []
+    for mask in _masks(template.grey.shape, flat, settings.ring * size_px(flat)[1]):
+        fit = align(template.grey, grey, mask > 0, start)
+        if fit is None:
+            found.append(None)
+            continue
+        sigma = float(np.hypot(fit.ratio_sigma, GROWTH_FLOOR))
+        found.append(Growth(ratio=fit.ratio, sigma=sigma, points=int((mask > 0).sum())))
+    return found[0], found[1]
+
+
+def _masks(shape: tuple[int, ...], corners: Array, ring: float) -> tuple[Image, Image]:
+    """The plate, and the ring of the vehicle's rear round it, as masks in tracking pixels."""
+    inside = np.zeros(shape[:2], np.uint8)
+    cv2.fillConvexPoly(inside, np.rint(corners).astype(np.int32), 255)
+    outer = np.zeros(shape[:2], np.uint8)
+    x0, y0, x1, y1 = bounds(corners)
+    cv2.rectangle(outer, (int(x0 - ring), int(y0 - ring)), (int(x1 + ring), int(y1 + ring)), 255, -1)
+    outer[cv2.dilate(inside, np.ones((3, 3), np.uint8)) > 0] = 0
+    return inside, outer
 
 
 def fit_similarity(p: Array, q: Array, floor_px: float) -> Similarity | None:

@@ -13,7 +13,7 @@ import numpy as np
 
 from tmde_edge.messages import Frame, Mode, PlateSighting, Point, ScaleChange, Sighting
 from tmde_edge.vision.detect.contour import box_iou
-from tmde_edge.vision.flow import FlowStep, Growth, Template, follow, make_template
+from tmde_edge.vision.flow import FlowStep, Growth, Template, follow, grow, make_template
 from tmde_edge.vision.protocols import Image, PlateCandidate, PlateReader, PlateReading
 from tmde_edge.vision.rectify import Array, bounds, is_convex, size_px
 from tmde_edge.vision.search import PlateSearch, Region, fovea_region
@@ -332,9 +332,8 @@ class Perception:
         for track in self._tracks:
             if track.anchor is None or not track.id or t_ns - track.anchor_ns < self._flow.base_s * 1e9 - EARLY_NS:
                 continue
-            step = follow(track.anchor, image, track.corners_px, self._flow)
-            if step is not None:
-                changes += _changes(track, step)
+            plate, rear = grow(track.anchor, image, track.corners_px, self._flow)
+            changes += _changes(track, plate, rear)
             track.anchor = None
         return tuple(changes)
 
@@ -388,8 +387,8 @@ def _bare(track: _Track, reading: PlateReading) -> PlateReading:
     )  # fmt: skip
 
 
-def _changes(track: _Track, step: FlowStep) -> list[ScaleChange]:
-    parts: list[tuple[Growth | None, Literal["plate", "vehicle"]]] = [(step.plate, "plate"), (step.rear, "vehicle")]
+def _changes(track: _Track, plate: Growth | None, rear: Growth | None) -> list[ScaleChange]:
+    parts: list[tuple[Growth | None, Literal["plate", "vehicle"]]] = [(plate, "plate"), (rear, "vehicle")]
     return [
         ScaleChange(track_id=track.id, t_from_ns=track.anchor_ns, ratio=g.ratio, sigma=g.sigma, source=source)
         for g, source in parts

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import plate_still
 
-from tmde_edge.vision.flow import fit_similarity, follow, make_template
+from tmde_edge.vision.flow import fit_similarity, follow, grow, make_template
 from tmde_edge.vision.settings import FlowSettings
 
 FLOW = FlowSettings()
@@ -38,7 +38,7 @@ def test_no_fit_from_too_few_or_disagreeing_points():
 
 @pytest.mark.parametrize("width_px", [30, 90, 400])
 def test_growth_and_place_of_a_warped_frame(width_px):
-    z = []
+    dense, sigmas = [], []
     for seed in range(5):
         rng = np.random.default_rng(seed)
         still = plate_still("us-mi", width_px, seed=seed)
@@ -55,9 +55,11 @@ def test_growth_and_place_of_a_warped_frame(width_px):
         assert step is not None
         true = still.corners_px @ warp[:, :2].T + warp[:, 2]
         assert np.abs(step.corners_px - true).max() < max(0.25, 0.002 * width_px)
-        z += [(g.ratio - k) / g.sigma for g in (step.plate, step.rear) if g is not None]
-    assert len(z) >= 5
-    assert np.sqrt(np.mean(np.square(z))) < 3.0
+        dense += [(g.ratio - k) / g.sigma for g in grow(template, now, step.corners_px, FLOW) if g is not None]
+        sigmas += [g.sigma for g in grow(template, now, step.corners_px, FLOW) if g is not None]
+    assert len(dense) >= 8
+    assert np.sqrt(np.mean(np.square(dense))) < 2.0
+    assert np.median(sigmas) < 0.15 / width_px
 
 
 def test_nothing_to_follow_gives_none():
@@ -66,6 +68,7 @@ def test_nothing_to_follow_gives_none():
     template = make_template(flat, corners, FLOW)
     assert template is not None
     assert follow(template, flat, corners, FLOW) is None
+    assert grow(template, flat, corners, FLOW) == (None, None)
     assert make_template(flat, corners + 1000, FLOW) is None
 
 
