@@ -277,17 +277,18 @@ def first_step(profile: Array, offsets_px: Array) -> float | None:
 
 def _turning_points(profile: Array, least: float) -> list[int]:
     """Indices of ends and extrema between which the profile rises or falls by at least `least`."""
+    values = profile.tolist()  # scalars of lists are quicker than those of arrays
     turns, low, high, rising = [0], 0, 0, 0
-    for i in range(1, len(profile)):
-        if profile[i] < profile[low]:
+    for i, value in enumerate(values):
+        if value < values[low]:
             low = i
-        if profile[i] > profile[high]:
+        if value > values[high]:
             high = i
-        if rising >= 0 and profile[high] - profile[i] >= least:
+        if rising >= 0 and values[high] - value >= least:
             if high != turns[-1]:
                 turns.append(high)
             rising, low = -1, i
-        elif rising <= 0 and profile[i] - profile[low] >= least:
+        elif rising <= 0 and value - values[low] >= least:
             if low != turns[-1]:
                 turns.append(low)
             rising, high = 1, i

@@ -68,11 +68,10 @@ def spacing(characters: tuple[CharacterBox, ...]) -> float | None:
 
 def is_blind(image: Image, contrast_min: float) -> bool:
     """Whether the image shows nothing: black, saturated or nearly constant (2 % to 98 % of a coarse grid of its pixels)."""
-    rows, columns = max(1, image.shape[0] // 90), max(1, image.shape[1] // 160)
-    coarse = image[::rows, ::columns]
-    grey = coarse.mean(axis=2) if coarse.ndim == 3 else coarse
-    low, high = np.percentile(grey, (2, 98))
-    return bool(high - low < contrast_min)
+    coarse = image[:: max(1, image.shape[0] // 60), :: max(1, image.shape[1] // 100)]
+    grey = np.sort(coarse.max(axis=2) if coarse.ndim == 3 else coarse, axis=None)
+    low, high = grey[len(grey) // 50], grey[len(grey) - 1 - len(grey) // 50]
+    return bool(float(high) - float(low) < contrast_min)
 
 
 def _glyph(c: CharacterBox) -> GlyphSighting:

@@ -38,7 +38,7 @@ def plate_patches(rng: np.random.Generator, world: World) -> list[tuple[np.ndarr
             # the first network's boxes: some tenths of a pixel and a share of the height off, directions a little too
             spread = np.hypot(0.28, 0.022 * high) * np.exp(rng.normal(0, 0.3))
             e = rng.normal(0, spread, 4)
-            tilt, lean = rng.normal(0, 0.02), rng.normal(0, 0.05)
+            tilt, lean = rng.normal(0, 0.008), rng.normal(0, 0.022)
             u, v = across / wide, down / high
             u = u + tilt * v
             v = v + lean * u

@@ -83,7 +83,7 @@ def stroke_width(mask: NDArray[np.uint8]) -> float:
     distance = np.asarray(cv2.distanceTransform(padded, cv2.DIST_L2, 5), dtype=np.float64)
     ridge = (distance > 0) & (distance >= cv2.dilate(distance, np.ones((3, 3))))
     # an odd width w has its ridge at (w + 1) / 2, an even one at w / 2
-    return float(2 * np.median(distance[ridge]) - 0.5) if ridge.any() else 0.0
+    return float(2 * _median(distance[ridge], 0) - 0.5) if ridge.any() else 0.0
 
 
 def ink_mask(flat: Image, box: Array, light_on_dark: bool) -> NDArray[np.uint8]:
@@ -107,13 +107,19 @@ def border_thickness(flat: Image, light_on_dark: bool) -> float | None:
     h, w = ink.shape
     depth = max(4, round(0.14 * h))
     middle_x, middle_y = slice(int(0.12 * w), int(0.88 * w)), slice(int(0.2 * h), int(0.8 * h))
-    ink_level = float(np.percentile(ink[int(0.3 * h) : int(0.7 * h), middle_x], 97))
+    core = np.sort(ink[int(0.3 * h) : int(0.7 * h), middle_x], axis=None)
+    ink_level = float(core[int(0.97 * (len(core) - 1))])
     profiles = (
-        np.median(ink[:depth, middle_x], axis=1), np.median(ink[h - depth :, middle_x], axis=1)[::-1],
-        np.median(ink[middle_y, :depth], axis=0), np.median(ink[middle_y, w - depth :], axis=0)[::-1],
+        _median(ink[:depth, middle_x], 1), _median(ink[h - depth :, middle_x], 1)[::-1],
+        _median(ink[middle_y, :depth], 0), _median(ink[middle_y, w - depth :], 0)[::-1],
     )  # fmt: skip
     found = [t for p in profiles if (t := _line(p, ink_level)) is not None]
     return float(np.median(found)) if len(found) >= 2 else None
+
+
+def _median(values: Array, axis: int) -> Array:
+    """The upper median along an axis; numpy's own spends longer on checks than on sorting."""
+    return np.asarray(np.sort(values, axis=axis).take(values.shape[axis] // 2, axis=axis))
 
 
 def _line(profile: Array, ink_level: float) -> float | None:
