@@ -91,6 +91,12 @@ class RecordConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     max_mb: PositiveInt = 2000  # of the folder; the oldest logs go first
 
 
+class PublishConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The `[publish]` table: the records of the service for local programs."""
+
+    socket: str = "auto"  # unix stream socket; "auto": records.sock in the service's run folder; "": none
+
+
 class RuntimeConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The `[runtime]` table."""
 
@@ -115,6 +121,7 @@ class Config(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     alerts: AlertSettings = msgspec.field(default_factory=AlertSettings)
     can: CanSettings = msgspec.field(default_factory=CanSettings)
     record: RecordConfig = msgspec.field(default_factory=RecordConfig)
+    publish: PublishConfig = msgspec.field(default_factory=PublishConfig)
     runtime: RuntimeConfig = msgspec.field(default_factory=RuntimeConfig)
 
 

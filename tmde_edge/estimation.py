@@ -115,6 +115,7 @@ class Estimation:
                     pose=self._pose, depth=None, alert=self._alert, faults=self._faults(tick.t_ns, blind=True),
                     mode=self._last.mode,
                 )  # fmt: skip
+                return (self._last, *self._transmit(tick.t_ns))
         return self._transmit(tick.t_ns)
 
     def _on_sighting(self, s: Sighting) -> tuple[Output, ...]:

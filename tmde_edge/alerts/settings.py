@@ -28,3 +28,5 @@ class AlertSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     parking_distance_m: NotNegative = 0.5  # below inactive speed: caution nearer than this while closing; 0: off
     suppress_on_brake: bool = True  # where the brake signal is configured: no caution and no warning while braking
     suppress_on_turn_signal: bool = False  # where configured: a set indicator holds back cautions
+    command: list[str] = []  # run by the service as COMMAND LEVEL REASON TTC when the level changes; empty: none
+    command_timeout_s: Positive = 2.0  # it is killed after this

@@ -13,13 +13,13 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Protocol, TypeAlias
+from dataclasses import asdict, dataclass
+from typing import Any, Protocol, TypeAlias
 
 from tmde_edge.adapters.cameras.live_camera import Captured, LiveCamera, WatchedCamera
 from tmde_edge.app.background_log import BackgroundLog
 from tmde_edge.app.sdnotify import Notifier
-from tmde_edge.messages import CanFrame, DepthReading, Event, Frame, FrameResult, Output, Sighting, Tick
+from tmde_edge.messages import Alert, CanFrame, DepthReading, Event, Frame, FrameResult, Output, Sighting, Tick
 
 _log = logging.getLogger(__name__)
 INBOX_EVENTS = 4000  # at 5,000 CAN frames a second still most of a second
@@ -58,6 +58,18 @@ class BusPort(Protocol):
         ...
 
 
+class Outlet(Protocol):
+    """Where local programs read the records (app/publish.py)."""
+
+    def frame(self, result: FrameResult, sighting: Sighting) -> None:
+        """One decided frame; never blocks."""
+        ...
+
+    def service(self, values: dict[str, Any]) -> None:
+        """The state of the service; never blocks."""
+        ...
+
+
 @dataclass(slots=True)
 class LiveCounters:
     """What happened since the start."""
@@ -83,19 +95,21 @@ class LiveLoop:
         *,
         notifier: Notifier | None = None,
         log: BackgroundLog | None = None,
-        on_result: Callable[[FrameResult], None] | None = None,
+        outlet: Outlet | None = None,
+        on_alert: Callable[[Alert], None] | None = None,
         on_frame: Callable[[Frame], None] | None = None,
         tick_hz: float = 20.0,
         monotonic_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
-        """`see` runs on the perception thread; `on_frame` (depth, a live page) too; `on_result` on the deciding one."""
+        """`see` and `on_frame` (depth, a live page) run on the perception thread, `outlet` and `on_alert` on the deciding one."""
         self._stopping = threading.Event()
         self.camera = WatchedCamera(camera, pause=self._stopping.wait)
         self._see = see
         self._estimation = estimation
         self._notifier = notifier or Notifier({})
         self._log_to = log
-        self._on_result = on_result
+        self._outlet = outlet
+        self._on_alert = on_alert
         self._on_frame = on_frame
         self._tick_ns = round(1e9 / tick_hz)
         self._now_ns = monotonic_ns
@@ -181,8 +195,10 @@ class LiveLoop:
                     self._bus.send(output)
             else:
                 self._last = output
-                if self._on_result is not None:
-                    self._on_result(output)
+                if self._on_alert is not None:
+                    self._on_alert(output.alert)
+                if self._outlet is not None and isinstance(event, Sighting):
+                    self._outlet.frame(output, event)
         if self._log_to is not None:
             self._log_to.write(event, outputs, frame)
         now_ns = self._now_ns()
@@ -207,6 +223,8 @@ class LiveLoop:
         if now_ns - self._status_ns >= STATUS_PERIOD_NS:
             self._notifier.status(self.status_text(now_ns))
             self._status_ns = now_ns
+            if self._outlet is not None:
+                self._outlet.service(self.service_values(now_ns))
 
     def _blind_for_a_reason(self) -> bool:
         return self.camera.fault is not None or self.camera.camera.ended
@@ -236,6 +254,15 @@ class LiveLoop:
         faults = dict.fromkeys((*self._faults(now_ns), *(last.faults if last is not None else ())))
         parts.append("faults " + ", ".join(faults) if faults else "no faults")
         return "; ".join(parts)
+
+    def service_values(self, now_ns: int) -> dict[str, Any]:
+        """What the service line of the socket holds."""
+        last = self._last
+        faults = dict.fromkeys((*self._faults(now_ns), *(last.faults if last is not None else ())))
+        return {
+            "t": round(now_ns * 1e-9, 3), "status": self.status_text(now_ns), "faults": list(faults),
+            **asdict(self.counters),
+        }  # fmt: skip
 
     # -- the other threads --------------------------------------------------------------------------------------------
 

@@ -15,9 +15,11 @@ from tmde_edge.adapters.can_ports.dbc_files import load_vehicle_decoder
 from tmde_edge.adapters.can_ports.disabled import DisabledCanPort
 from tmde_edge.adapters.can_ports.nmea import NmeaPort
 from tmde_edge.adapters.depth.threaded import ThreadedDepth
+from tmde_edge.app.alert_command import AlertCommand
 from tmde_edge.app.background_log import BackgroundLog
 from tmde_edge.app.drive_log import DriveLogWriter, JpegSettings
 from tmde_edge.app.live import BusPort, LiveLoop
+from tmde_edge.app.publish import Publisher, socket_path
 from tmde_edge.app.sdnotify import Notifier
 from tmde_edge.app.wiring import build_camera, build_estimation, build_eyes, check_parts, depth_network, log_config
 from tmde_edge.config import Config
@@ -62,12 +64,21 @@ def serve(config: Config, base_dir: Path, log_line: Callable[[str], None]) -> in
     estimation = build_estimation(config, base_dir)
     with ExitStack() as stack:
         depth = _depth(config, lambda: loop)
+        outlet = _outlet(config)
+        if outlet is not None:
+            stack.callback(outlet.close)
+        command = None
+        if config.alerts.command:
+            command = AlertCommand(config.alerts.command, config.alerts.command_timeout_s)
+            stack.callback(command.close)
         loop = LiveLoop(
             build_camera(config, base_dir),
             eyes.see,
             estimation,
             notifier=Notifier(),
             log=_drive_log(config, base_dir),
+            outlet=outlet,
+            on_alert=command.take if command is not None else None,
             on_frame=depth.submit if depth is not None else None,
             tick_hz=config.runtime.tick_hz,
         )
@@ -92,6 +103,20 @@ def _bus(config: Config, base_dir: Path, loop: LiveLoop) -> BusPort:
     decoder = load_vehicle_decoder(config.can, base_dir)
     port = CanPort(config.can, loop.on_can, decoder.filters, loop.crash)
     return port if config.can.transmit else _Silent(port)
+
+
+def _outlet(config: Config) -> Publisher | None:
+    """The socket of the records. One that was asked for by name must work; the default one is a convenience."""
+    path = socket_path(config.publish.socket)
+    if path is None:
+        return None
+    try:
+        return Publisher(path)
+    except DeviceError as error:
+        if config.publish.socket != "auto":
+            raise
+        _log.warning("%s; nobody can look in", error)
+        return None
 
 
 def _depth(config: Config, loop: Callable[[], LiveLoop]) -> ThreadedDepth | None:

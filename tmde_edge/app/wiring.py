@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -29,6 +30,7 @@ from tmde_edge.app.replay import Outcome, replay
 from tmde_edge.canbus.alert_tx import AlertTransmitter
 from tmde_edge.canbus.ego_rx import EgoReceiver
 from tmde_edge.config import Config, from_tree, to_tree
+from tmde_edge.errors import ConfigError
 from tmde_edge.estimation import Estimation, Parts
 from tmde_edge.messages import Pose
 from tmde_edge.plates.standard import select
@@ -111,6 +113,9 @@ def check_parts(config: Config, base_dir: Path) -> list[str]:
     """Builds what can be wrong in a configuration beyond its values; returns notes for people. Raises ConfigError."""
     build_estimation(config, base_dir)
     notes = []
+    command = config.alerts.command
+    if command and shutil.which(command[0]) is None:
+        raise ConfigError(f"alerts.command {command[0]!r}: no such program, or not executable; give its full path")
     if config.camera.fx_px is None:
         notes.append("camera.fx_px is not set: distances stay null (fault uncalibrated), TTC from scale works")
     if not config.can.transmit:

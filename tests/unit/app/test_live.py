@@ -21,7 +21,7 @@ from tmde_edge.app import background_log, live
 from tmde_edge.app.background_log import BackgroundLog
 from tmde_edge.app.live import LiveLoop
 from tmde_edge.app.sdnotify import Notifier
-from tmde_edge.messages import CanFrame, Event, Frame, FrameResult, Output, Sighting, Tick
+from tmde_edge.messages import Alert, CanFrame, Event, Frame, FrameResult, Output, Pose, Sighting, Tick
 
 FRAMES = 12
 RATE_HZ = 40.0
@@ -327,9 +327,49 @@ def test_a_disk_that_hangs_delays_no_decision(recording: Path, monkeypatch: pyte
     assert time.monotonic() - start < 3
 
 
+class Deciding(Echo):
+    """An estimation that gives a result for each sighting: a warning from frame 4 on."""
+
+    def step(self, event: Event) -> tuple[Output, ...]:
+        out = super().step(event)
+        if not isinstance(event, Sighting):
+            return out
+        alert = Alert(level="warning", reason="ttc", ttc_s=2.0) if event.frame_index >= 4 else Alert()
+        result = FrameResult(
+            t_ns=event.t_ns, frame_index=event.frame_index, plates=(), lead=None, ego=None,
+            pose=Pose(pitch_rad=0.0, roll_rad=0.0),
+            depth=None, alert=alert, faults=(), mode="strict",
+        )  # fmt: skip
+        return (result, *out)
+
+
+class Outlet:
+    """Keeps what is published."""
+
+    def __init__(self) -> None:
+        self.frames: list[int] = []
+        self.services: list[dict[str, Any]] = []
+
+    def frame(self, result: FrameResult, sighting: Sighting) -> None:
+        assert result.t_ns == sighting.t_ns
+        self.frames.append(result.frame_index)
+
+    def service(self, values: dict[str, Any]) -> None:
+        self.services.append(values)
+
+
+def test_every_result_is_published_and_every_alert_told(recording: Path) -> None:
+    outlet, alerts = Outlet(), []
+    loop = LiveLoop(play(recording), see, Deciding(), outlet=outlet, on_alert=alerts.append)
+    loop.run(Bus())
+    assert outlet.frames == list(range(loop.counters.sightings))
+    assert [a.level for a in alerts[:5]] == ["none"] * 4 + ["warning"]
+    assert outlet.services
+    assert {"sightings", "skipped", "status", "faults"} <= outlet.services[0].keys()
+
+
 def test_status_in_words(recording: Path) -> None:
-    results: list[FrameResult] = []
-    loop = LiveLoop(play(recording), see, Echo(), on_result=results.append)
+    loop = LiveLoop(play(recording), see, Echo())
     loop.run(Bus())
     text = loop.status_text(time.monotonic_ns())
     rate = float(text.split(" frames/s")[0])
