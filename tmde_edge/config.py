@@ -37,8 +37,9 @@ PositiveInt = Annotated[int, Meta(gt=0)]
 class CameraConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The `[camera]` table: where frames come from, and the calibration (no default for fx_px: uncalibrated)."""
 
-    kind: Literal["v4l2", "video_file", "disabled"] = "v4l2"
-    device: str = "/dev/video0"  # or the file of kind "video_file"
+    kind: Literal["v4l2", "picamera2", "gstreamer", "video_file", "disabled"] = "v4l2"
+    device: str = "/dev/video0"  # or the file of kind "video_file", or the camera's number of kind "picamera2"
+    pipeline: str = ""  # kind "gstreamer": the pipeline, ending in an appsink
     loop: bool = False  # video_file: begin again at the end
     pixel_format: Literal["auto", "mjpg", "yuyv", "grey"] = "auto"
     width_px: PositiveInt = 1280
@@ -82,13 +83,28 @@ class PlatesConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 class RecordConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The `[record]` table: the drive log of the service."""
+    """The `[record]` table: the ring of drive logs, and the evidence of warnings."""
 
-    enabled: bool = False
-    folder: str = "/var/lib/tmde-edge/drives"
-    frames: bool = False  # also JPEG frames
-    blur: bool = True  # blur plates in recorded frames
-    max_mb: PositiveInt = 2000  # of the folder; the oldest logs go first
+    enabled: bool = False  # the ring: everything, all the time
+    folder: str = "/var/lib/tmde-edge/drives"  # of the ring; incidents and the odometer lie in it too
+    segment_s: Annotated[float, Meta(ge=1)] = 300.0  # a new file this often
+    max_mb: PositiveInt = 2000  # of the ring; the oldest files go first
+    max_age_days: Positive = 30.0  # older files go
+    min_free_mb: Annotated[int, Meta(ge=0)] = 200  # of the disk; files of the ring go to keep it free
+    frames: bool = False  # JPEG frames in the ring too (incidents always have them)
+    frames_hz: Positive = 10.0  # recorded frames a second
+    jpeg_quality: Annotated[int, Meta(ge=10, le=100)] = 85
+    blur: bool = True  # characters of plates are made unreadable in every recorded frame
+    shadow: bool = True  # while can.transmit = false: keep the evidence of what would have been said
+    incidents: bool = False  # while transmitting: keep the evidence of what was said
+    incident_level: Literal["caution", "warning"] = "warning"  # from this level on with evidence; all are counted
+    incident_before_s: Annotated[float, Meta(ge=0, le=60)] = 10.0
+    incident_after_s: Annotated[float, Meta(ge=0, le=60)] = 10.0
+    incidents_max_mb: PositiveInt = 1000  # of all incidents; the oldest go first
+    range_device: str = ""  # serial port of a laser or lidar rangefinder, recorded as truth
+    range_baud: Annotated[int, Meta(gt=0)] = 9600
+    range_unit: Literal["m", "cm", "mm", "ft"] = "m"  # of its numbers where the line names none
+    range_field: Annotated[int, Meta(ge=0)] = 0  # which comma-separated field holds the distance; 0: the first number
 
 
 class PublishConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -104,6 +120,11 @@ class RuntimeConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         0  # of every pool (OpenCV, ONNX Runtime); 0: one a core, at most 4
     )
     tick_hz: Positive = 20.0  # how often time passes although nothing arrives
+    status_socket: str = ""  # of `tmde-edge status`; "": /run/tmde-edge/status.sock, or the user's own runtime folder
+    shed: bool = True  # do less when the board is slow or hot: depth rate, then search rate, then frame rate
+    hot_c: Annotated[float, Meta(ge=40, le=120)] = 80.0  # from this temperature on the board is hot
+    cpu_affinity: list[Annotated[int, Meta(ge=0)]] = []  # the cores the service may use; []: all
+    realtime_priority: Annotated[int, Meta(ge=0, le=50)] = 0  # of capture and decisions (SCHED_RR); 0: none
 
 
 class Config(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -77,6 +77,7 @@ class Estimation:
         self._last: FrameResult | None = None
         self._last_frame_ns: int | None = None
         self._tick_faults: tuple[str, ...] = ()
+        self._temperature_c: float | None = None
         self._frame_times_ns: list[int] = []
 
     def step(self, event: Event) -> tuple[Output, ...]:
@@ -103,6 +104,7 @@ class Estimation:
 
     def _on_tick(self, tick: Tick) -> tuple[Output, ...]:
         self._tick_faults = tick.faults
+        self._temperature_c = tick.temperature_c
         self._refresh_ego(tick.t_ns)
         if self._last is not None and self._last_frame_ns is not None:
             silent_s = (tick.t_ns - self._last_frame_ns) * 1e-9
@@ -263,6 +265,7 @@ class Estimation:
         status = StatusInfo(
             fps=0.0 if stale or span_s <= 0 else (len(times) - 1) / span_s,
             faults=faults,
+            temperature_c=self._temperature_c,
         )
         return self._p.transmitter.frames(self._last, status, t_ns)
 

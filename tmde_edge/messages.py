@@ -165,6 +165,16 @@ class Tick:
 
     t_ns: int
     faults: tuple[str, ...] = ()  # what the adapters know: "camera_lost", "overload", ...
+    temperature_c: float | None = None  # of the board
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RangeReference:
+    """A distance that another instrument measured (laser, lidar): recorded beside the drive, never used for a decision."""
+
+    t_ns: int  # when its line was complete
+    distance_m: float | None  # None: it said "no target"
+    text: str = ""  # its line
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -50,6 +50,10 @@ class Eyes:
         timing["total"] = timing.get("total", 0.0) + took_ms
         return replace(sighting, lanes=lanes, tilt=tilt, timing_ms=timing)
 
+    def thin_searches(self, factor: float) -> None:
+        """Full searches are this much rarer from the next frame on (1: as configured)."""
+        self._perception.thinning = factor
+
     def see_still(self, frame: Frame) -> Sighting:
         """A picture by itself."""
         return self._perception.see_still(frame)

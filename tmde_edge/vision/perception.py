@@ -84,6 +84,7 @@ class Perception:
         self._segmenter = segmenter
         self._flow = flow
         self._clock_ns = clock_ns
+        self.thinning = 1.0  # full and fovea searches are this much rarer: the live loop sheds load by it
         self.far_point_px: Point | None = None  # the driving path's far end, where known: the fovea looks there
         self._reset()
 
@@ -192,10 +193,10 @@ class Perception:
                 # where a plate is known to be, a weaker sign of it is enough
                 mode: Mode = "permissive" if self._bridges(track) else self._mode
                 found += self._search.region(image, region, size_px(track.corners_px)[0], mode)
-        if self._due(self._searched_ns, t_ns, self._detector.search_rate_hz):
+        if self._due(self._searched_ns, t_ns, self._detector.search_rate_hz / self.thinning):
             self._searched_ns = t_ns
             return True, found + self._search.frame(image, self._mode)
-        if self._detector.fovea and self._due(self._fovea_ns, t_ns, self._detector.fovea_rate_hz):
+        if self._detector.fovea and self._due(self._fovea_ns, t_ns, self._detector.fovea_rate_hz / self.thinning):
             self._fovea_ns = t_ns
             window = fovea_region(image.shape[1], image.shape[0], self.far_point_px, self._detector)
             found += self._search.region(image, window, None, self._mode)

@@ -1,0 +1,79 @@
+"""What the board says about itself, read from made-up /sys and /proc trees."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from tmde_edge.app import board
+
+
+def put(root: Path, name: str, text: str) -> None:
+    path = root / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text)
+
+
+def test_the_processors_hottest_zone_counts_and_dead_sensors_do_not(tmp_path: Path) -> None:
+    for i, (kind, milli) in enumerate([("cpu-thermal", "61234\n"), ("gpu-thermal", "63500\n"), ("battery", "90000\n"),
+                                       ("soc2-thermal", "-256000\n"), ("iwlwifi", "")]):  # fmt: skip
+        put(tmp_path, f"sys/class/thermal/thermal_zone{i}/type", kind + "\n")
+        put(tmp_path, f"sys/class/thermal/thermal_zone{i}/temp", milli)
+    assert board.processor_c(tmp_path) == pytest.approx(63.5)
+    assert set(board.temperatures_c(tmp_path)) == {"cpu-thermal", "gpu-thermal", "battery"}
+    assert board.processor_c(tmp_path / "nothing") is None
+
+
+def test_throttling_from_the_kernel_or_from_vcgencmd(tmp_path: Path) -> None:
+    assert board.look(tmp_path).throttled == ()
+    asked: list[object] = []
+
+    def run(command: object) -> str:
+        asked.append(command)
+        return "throttled=0x50005\n"
+
+    state = board.look(tmp_path, run)
+    assert asked == [("vcgencmd", "get_throttled")]
+    assert state.throttled == ("under-voltage", "throttled")
+    assert state.throttled_before == ("under-voltage since boot", "throttled since boot")
+    put(tmp_path, "sys/devices/platform/soc/soc:firmware/get_throttled", "0\n")
+    assert board.throttle_flags(tmp_path, run) == 0
+    assert len(asked) == 1
+
+
+def test_resident_memory_of_this_process() -> None:
+    mine = board.memory_mb()
+    assert mine is not None
+    assert 5 < mine < 5000
+    assert board.memory_mb(pid=2**22 + 1) is None
+
+
+def test_a_tool_that_is_missing_or_fails_gives_nothing() -> None:
+    assert board.run_tool(["no-such-tool-here"]) is None
+    assert board.run_tool(["false"]) is None
+    assert board.run_tool(["echo", "yes"]) == "yes\n"
+
+
+def test_cores_that_are_not_there_are_a_sentence() -> None:
+    before = os.sched_getaffinity(0)
+    try:
+        assert "cpu_affinity" in str(board.limit_processor([4000]))
+        assert board.limit_processor(sorted(before)) is None
+    finally:
+        os.sched_setaffinity(0, before)
+
+
+def test_the_watch_looks_again(tmp_path: Path) -> None:
+    put(tmp_path, "sys/class/thermal/thermal_zone0/temp", "40000")
+    watch = board.BoardWatch(tmp_path, period_s=0.01)
+    assert watch.state.temperature_c == 40.0
+    watch.start()
+    put(tmp_path, "sys/class/thermal/thermal_zone0/temp", "50000")
+    deadline = 200
+    while watch.state.temperature_c != 50.0 and deadline:
+        watch._stop.wait(0.01)
+        deadline -= 1
+    watch.close()
+    assert watch.state.temperature_c == 50.0
