@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -63,7 +65,7 @@ def test_vain_tries_become_rarer() -> None:
         slow = shedder.level == 0  # one level is just enough
         if shedder.step(i / 4, Load(late_s=0.5 if slow else 0.0, busy=0.3)) and shedder.level == 0:
             downs.append(i / 4)
-    gaps = [b - a for a, b in zip(downs, downs[1:], strict=False)]
+    gaps = [b - a for a, b in itertools.pairwise(downs)]
     assert len(gaps) >= 3
     assert gaps[-1] > 3 * gaps[0]
 
