@@ -93,7 +93,7 @@ def _parser() -> argparse.ArgumentParser:
     desk.add_argument("--fps", metavar="N", type=float, default=30.0, help="rate of image folders (default 30)")
     desk.add_argument("--can-out", metavar="FILE", help="the CAN frames that would be sent, as candump -L")
     desk.add_argument("--video-out", metavar="FILE.mp4", type=Path, help="annotated video")
-    desk.add_argument("--report", metavar="FOLDER", type=Path, help="HTML report with plots (not in this version)")
+    desk.add_argument("--report", metavar="FOLDER", type=Path, help="HTML report with plots, thumbnails and a summary")
     desk.add_argument("--record", metavar="FILE.mcap", type=Path, help="drive log of every input and output")
     desk.add_argument("--truth", metavar="FILE.csv", type=Path, help="true distances (columns frame, distance_m): adds errors")
     verbs = parser.add_subparsers(dest="verb", metavar="COMMAND", title="commands")
@@ -119,6 +119,10 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--seeds", type=int, default=1, metavar="N", help="with --check: seeds 0 to N-1")
     sub = verb("replay", _replay, "runs a recorded drive again and compares; exit 1 where it differs")
     sub.add_argument("drive_log", metavar="DRIVE_LOG", type=Path)
+    sub = verb("report", _report, "makes the HTML report of kept records (again), with or without the truth")
+    sub.add_argument("source", metavar="FOLDER_OR_JSONL", type=Path, help="what --report or --jsonl wrote")
+    sub.add_argument("--out", metavar="FOLDER", type=Path, help="default: beside the records")
+    sub.add_argument("--truth", metavar="FILE.csv", type=Path, default=argparse.SUPPRESS, help="true distances")
     verb("check-config", _check_config, "reads a configuration and prints every value in force")
     sub = verb("plates", _plates, "the plate standards")
     sub.add_argument("action", choices=["list", "show"])
@@ -327,6 +331,13 @@ def _replay(args: argparse.Namespace) -> int:
     if outcome.difference is not None:
         raise CheckFailedError(f"{args.drive_log}: {outcome.difference}")
     _say(args, f"identical: {outcome.events} events, {outcome.outputs} outputs")
+    return 0
+
+
+def _report(args: argparse.Namespace) -> int:
+    from tmde_edge.app.report.writer import rebuild
+
+    _say(args, f"report: {rebuild(args.source, args.out, args.truth)}")
     return 0
 
 

@@ -18,12 +18,15 @@ from tmde_edge.adapters.video_out import VideoWriter
 from tmde_edge.app.can_times import CanTimeline
 from tmde_edge.app.drive_log import DriveLogWriter, JpegSettings
 from tmde_edge.app.dry_run import Step, dry_run
-from tmde_edge.app.overlay import draw
+from tmde_edge.app.overlay import Image, draw
 from tmde_edge.app.records import Record
+from tmde_edge.app.report.about import about_run
+from tmde_edge.app.report.writer import ReportWriter
 from tmde_edge.app.truth import TruthComparison, read_truth
 from tmde_edge.app.wiring import build_depth, build_estimation, build_eyes, log_config, threads
 from tmde_edge.config import Config
 from tmde_edge.errors import UsageError
+from tmde_edge.messages import Frame
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,7 +58,14 @@ class Desk:
         self._video: VideoWriter | None = None
         self._source: FrameSource = open_source(options.source, options.fps, threads=threads(config))
         truth = read_truth(options.truth) if options.truth is not None else None
+        self._true = truth
         self._truth = TruthComparison(truth) if truth is not None else None
+        self._report: ReportWriter | None = None
+        if options.report is not None:
+            made = time.strftime("%Y-%m-%d %H:%M")
+            about = about_run(config, options.source, str(options.can_log) if options.can_log is not None else None, made)
+            self._report = ReportWriter(options.report, about)
+            self._stack.callback(self._report.close)
         self._can_out = self._stack.enter_context(CandumpWriter(options.can_out)) if options.can_out is not None else None
         self._wall_s = 0.0
 
@@ -93,9 +103,9 @@ class Desk:
 
     def _take(self, step: Step) -> None:
         record = step.record
-        for frame in step.can_out:
+        for sent in step.can_out:
             if self._can_out is not None:
-                self._can_out.write(frame)
+                self._can_out.write(sent)
         self._counts["frames"] += 1
         if "error" in record:
             self._counts["errors"] += 1
@@ -108,16 +118,17 @@ class Desk:
                 self._alerts.append((record["t"], alert["level"], alert["reason"]))
             if self._truth is not None:
                 self._truth.add(record)
-        if self._options.video_out is not None and step.frame is not None:
-            self._draw(self._options.video_out, step)
+        frame = step.frame
+        if self._report is not None:
+            size_px = (frame.image.shape[1], frame.image.shape[0]) if frame is not None else None
+            self._report.add(record, size_px, (lambda: self._picture(step, frame)) if frame is not None else None)
+        if self._options.video_out is not None and frame is not None:
+            if self._video is None:
+                self._video = self._stack.enter_context(VideoWriter(self._options.video_out))
+            self._video.write(self._picture(step, frame), frame.t_ns)
 
-    def _draw(self, path: Path, step: Step) -> None:
-        if step.frame is None:
-            return
-        image = draw(step.frame.image, step.result, self._config.camera.camera(), step.record.get("error"))
-        if self._video is None:
-            self._video = self._stack.enter_context(VideoWriter(path))
-        self._video.write(image, step.frame.t_ns)
+    def _picture(self, step: Step, frame: Frame) -> Image:
+        return draw(frame.image, step.result, self._config.camera.camera(), step.record.get("error"))
 
     def finish(self) -> list[str]:
         """Closes the outputs; the summary for people."""
@@ -136,6 +147,8 @@ class Desk:
             lines.append("no alert")
         if self._truth is not None:
             lines += self._truth.lines()
+        if self._report is not None:
+            lines.append(f"report: {self._report.finish(self._true, self._truth)}")
         return lines
 
 
@@ -143,6 +156,4 @@ def run_desk(config: Config, base_dir: Path, options: DeskOptions) -> Desk:
     """Checks inputs at once, so that errors come before any work."""
     if options.can_log is None and options.can_offset_s:
         raise UsageError("--can-offset needs --can-log")
-    if options.report is not None:
-        raise UsageError("--report: not in this version; --jsonl and --truth give the numbers, --video-out the picture")
     return Desk(config, base_dir, options)

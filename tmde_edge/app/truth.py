@@ -62,6 +62,7 @@ class ErrorStats:
     p95_abs: float
     mae_m: float
     rmse_m: float
+    cv: float  # spread of measured / true over its mean: the paper's coefficient of variation where the plate stands still
     inside_1_sigma: float | None = None
     inside_2_sigma: float | None = None
 
@@ -82,6 +83,7 @@ def stats(measured_m: np.ndarray, true_m: np.ndarray, sigma_m: np.ndarray | None
         p95_abs=float(np.quantile(np.abs(relative), 0.95)),
         mae_m=float(np.abs(error_m).mean()),
         rmse_m=float(np.sqrt((error_m**2).mean())),
+        cv=float(relative.std() / max(abs(1.0 + relative.mean()), 1e-9)),
         inside_1_sigma=inside[0] if inside else None,
         inside_2_sigma=inside[1] if inside else None,
     )
@@ -99,16 +101,25 @@ class TruthComparison:
         true = self._truth.get(record["frame"])
         if true is None or "error" in record:
             return
-        row = {"true": true.distance_m}
+        row = {"true": true.distance_m, "t": record["t"]}
+        if true.characters is not None:
+            row["characters_true"] = float(true.characters)
         lead = record["lead"]
         if lead is not None and lead["distance_m"] is not None:
             row["lead"], row["sigma"] = lead["distance_m"], lead["sigma_m"]
         plate = next((p for p in record["plates"] if p["lead"]), None)
         if plate is not None:
             row |= {c["cue"]: c["distance_m"] for c in plate["cues"]}
+            if plate["char_height_px"] is not None:
+                row["char_height_px"] = plate["char_height_px"]
             if true.characters is not None:
                 row["characters_right"] = float(plate["characters"] == true.characters)
         self._rows.append(row)
+
+    @property
+    def count(self) -> int:
+        """Frames with a true distance so far."""
+        return len(self._rows)
 
     def column(self, name: str) -> np.ndarray:
         """(n,) of one series, NaN where absent."""
@@ -127,7 +138,8 @@ class TruthComparison:
                 continue
             text = (
                 f"  {label}: {s.count} frames, median |error| {100 * s.median_abs:.2f} %, bias {100 * s.bias:+.2f} %, "
-                f"sd {100 * s.sd:.2f} %, p95 {100 * s.p95_abs:.2f} %, MAE {s.mae_m:.3f} m, RMSE {s.rmse_m:.3f} m"
+                f"sd {100 * s.sd:.2f} %, p95 {100 * s.p95_abs:.2f} %, "
+                f"CV {100 * s.cv:.2f} %, MAE {s.mae_m:.3f} m, RMSE {s.rmse_m:.3f} m"
             )
             if s.inside_1_sigma is not None and s.inside_2_sigma is not None:
                 text += f", inside 1/2 sigma {100 * s.inside_1_sigma:.0f}/{100 * s.inside_2_sigma:.0f} %"
