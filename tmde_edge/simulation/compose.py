@@ -18,14 +18,14 @@ _SHIFT = 4  # fractional bits of polygon corners
 
 @dataclass(frozen=True, slots=True)
 class Texture:
-    """A BGRA picture with its own chain of halved copies; pixel centres at integers."""
+    """A BGRA picture with its own chain of halved copies, each inside a transparent rim of one pixel."""
 
     levels: tuple[Image, ...] = field(repr=False)
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height in pixels of the finest level."""
-        return self.levels[0].shape[1], self.levels[0].shape[0]
+        """Width and height in pixels of the finest level, without the rim."""
+        return self.levels[0].shape[1] - 2, self.levels[0].shape[0] - 2
 
 
 def texture(bgr: Image, alpha: NDArray[np.float32] | None = None) -> Texture:
@@ -40,7 +40,14 @@ def texture(bgr: Image, alpha: NDArray[np.float32] | None = None) -> Texture:
         even[h:, :, 3] = 0
         even[:, w:, 3] = 0
         levels.append(_halve(even))
-    return Texture(tuple(levels))
+    return Texture(tuple(_rimmed(level) for level in levels))
+
+
+def _rimmed(bgra: Image) -> Image:
+    rimmed = np.asarray(cv2.copyMakeBorder(bgra, 1, 1, 1, 1, cv2.BORDER_REPLICATE), np.uint8)
+    rimmed[[0, -1], :, 3] = 0
+    rimmed[:, [0, -1], 3] = 0
+    return rimmed
 
 
 def _halve(bgra: Image) -> Image:
@@ -102,14 +109,14 @@ class Region:
         finest = max(max(sides[0], sides[2]) / wide, max(sides[1], sides[3]) / high)
         level = int(np.clip(np.ceil(-np.log2(max(finest, 1e-6))), 0, len(picture.levels) - 1))
         source = picture.levels[level]
-        # the outer edge of the finest level, in this level's pixels
-        right, bottom = wide / 2**level - 0.5, high / 2**level - 0.5
-        edge = np.array([[-0.5, -0.5], [right, -0.5], [right, bottom], [-0.5, bottom]], np.float32)
+        # the outer edge of the finest level, in this level's pixels with its rim
+        left, right, bottom = 0.5, wide / 2**level + 0.5, high / 2**level + 0.5
+        edge = np.array([[left, left], [right, left], [right, bottom], [left, bottom]], np.float32)
         warp = cv2.getPerspectiveTransform(edge, (corners - [x0, y0]).astype(np.float32))
-        size = (int(x1 - x0), int(y1 - y0))
-        colour = cv2.warpPerspective(source[..., :3], warp, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        # the coverage falls through 50 % exactly on the texture's outer edge
-        cover8 = cv2.warpPerspective(source[..., 3], warp, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+        # the coverage falls through 50 % exactly on the texture's outer edge, halfway to its rim
+        both = cv2.warpPerspective(source, warp, (int(x1 - x0), int(y1 - y0)), flags=cv2.INTER_LINEAR,
+                                   borderMode=cv2.BORDER_REPLICATE)
+        colour, cover8 = cv2.cvtColor(both, cv2.COLOR_BGRA2BGR), cv2.extractChannel(both, 3)
         if gain != 1.0:
             colour = cv2.convertScaleAbs(colour, alpha=gain)
         where = (slice(y0, y1), slice(x0, x1))
