@@ -228,8 +228,9 @@ class Estimation:
         f = track.filter
         gap_m = f.distance_m - self._bumper_m()
         metric = self._p.camera is not None
-        # The lead's braking counts only as far as it is certain (one sigma towards none).
-        accel = min(0.0, f.accel_mps2 + math.sqrt(max(float(f.covariance[2, 2]), 0.0)))
+        # The lead's braking counts as far as it stands out of its noise.
+        accel = min(0.0, f.accel_mps2)
+        accel *= max(0.0, 1.0 - max(float(f.covariance[2, 2]), 0.0) / max(accel**2, 1e-9))
         return Situation(
             t_ns=t_ns,
             present=True,
@@ -240,6 +241,7 @@ class Estimation:
             closing_sigma_mps=math.sqrt(max(float(f.covariance[1, 1]), 0.0)) if metric else None,
             required_decel_mps2=required_decel_mps2(gap_m, f.range_rate_mps) if metric else None,
             headway_s=lead.headway_s,
+            standing=not track.moved,
             ego_speed_mps=ego.speed_mps if ego is not None else None,
             brake_pressed=ego.brake_pressed if ego is not None else None,
             turn_signal=turn,

@@ -25,6 +25,7 @@ class Situation:
     required_decel_mps2: float | None = None
     headway_s: float | None = None
     ego_speed_mps: float | None = None
+    standing: bool = False  # was never seen to move
     brake_pressed: bool | None = None
     turn_signal: Literal["left", "right", "none"] | None = None
 
@@ -81,16 +82,19 @@ class AlertPolicy:
             return "none", ""
         ease = [s.hysteresis if _ORDER[self._alert.level] >= n else 1.0 for n in (0, 1, 2)]
         if self._closing(now) and now.ttc_s is not None:
-            if now.ttc_s <= s.warning_ttc_s * ease[2]:
+            warning_s, caution_s = s.warning_ttc_s, s.caution_ttc_s
+            if now.standing:
+                warning_s, caution_s = min(warning_s, s.standing_ttc_s), min(caution_s, s.standing_ttc_s)
+            if now.ttc_s <= warning_s * ease[2]:
                 return "warning", "ttc"
-            within = now.ttc_s <= s.max_ttc_s
+            within = now.ttc_s <= (min(s.max_ttc_s, s.standing_ttc_s) if now.standing else s.max_ttc_s)
             if (
                 within
                 and now.required_decel_mps2 is not None
                 and now.required_decel_mps2 >= s.warning_decel_mps2 / ease[2]
             ):
                 return "warning", "deceleration"
-            if not self._held_back(now) and now.ttc_s <= min(s.caution_ttc_s * ease[1], s.max_ttc_s):
+            if not self._held_back(now) and now.ttc_s <= min(caution_s * ease[1], s.max_ttc_s):
                 return "caution", "ttc"
         if (
             now.headway_s is not None

@@ -13,7 +13,8 @@ NotNegative = Annotated[float, Meta(ge=0)]
 class AlertSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Thresholds of caution and warning."""
 
-    warning_ttc_s: Positive = 2.7  # NHTSA FCW: at or before 2.1 / 2.4 / 2.0 s; margin for latency and a 2 sigma error
+    warning_ttc_s: Positive = 3.0  # NHTSA FCW: at or before 2.4 s of a braking lead; margin for noticing that it brakes
+    standing_ttc_s: Positive = 2.5  # warning and caution for what never moved (NHTSA FCW: 2.1 s): mostly it is parked
     caution_ttc_s: Positive = 3.6  # GB/T 33577: nothing above 4 s
     max_ttc_s: Positive = 4.0  # no alert of any reason but headway above this TTC
     warning_decel_mps2: Positive = 5.0  # required deceleration v^2 / (2 D)

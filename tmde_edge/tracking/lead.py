@@ -9,10 +9,13 @@ from typing import Literal
 from tmde_edge.messages import EgoState, RangeMeasurement
 from tmde_edge.tracking.ego import EgoMotion
 from tmde_edge.tracking.kalman import RangeFilter
+from tmde_edge.tracking.path import OwnPath
 from tmde_edge.tracking.settings import TrackerSettings
 
 Source = Literal["plate", "vehicle", "flow", "depth"]
 LATERAL_TAU_S = 0.25  # smoothing of the lateral offset: short against a lane change of 2 to 4 s
+STANDING_MPS = 1.0  # a vehicle that was never surely faster than this stands
+ONCOMING_MPS, ONCOMING_SHARE = 3.0, 0.35
 SAME_VEHICLE_LATERAL_M = 0.9  # a new identity this near to a coasting track is that vehicle again
 
 
@@ -31,6 +34,7 @@ class Track:
     hits: int = 1
     in_path: bool = False
     in_path_since_ns: int = 0
+    moved: bool = False  # was ever seen to move over ground, or that was not known
     innovations: list[tuple[float, float]] = field(default_factory=list)  # (residual, sigma) of the last ranges
 
     @property
@@ -48,12 +52,14 @@ class LeadTracker:
         self._s = settings
         self.tracks: dict[int, Track] = {}
         self.ego_motion = EgoMotion()
+        self.path = OwnPath()
         self._ego: EgoState | None = None
         self._lead_id: int | None = None
 
     def set_ego(self, ego: EgoState | None) -> None:
         """The newest ego state, or None when it is not known (any more)."""
         self._ego = ego
+        self.path.set_ego(ego)
         if ego is None:
             self.ego_motion.clear()
         else:
@@ -130,21 +136,26 @@ class LeadTracker:
                 return track
         return None
 
-    def path_offset_m(self, track: Track) -> float:
-        """Lateral offset of a track (right positive) from the path that speed and yaw rate predict."""
-        ego = self._ego
-        if ego is None or ego.yaw_rate_radps is None or ego.speed_mps < 3.0:
-            return track.lateral_m
-        curvature_pm = ego.yaw_rate_radps / ego.speed_mps  # left positive
-        return track.lateral_m + curvature_pm * track.filter.distance_m**2 / 2
+    def path_offset_m(self, track: Track) -> tuple[float, float]:
+        """Lateral offset of a track (right positive) from the path that speed and yaw rate predict, and its sigma."""
+        return self.path.offset_m(track.lateral_m, track.lateral_sigma_m, track.filter.distance_m)
+
+    def _in_path(self, track: Track) -> bool:
+        """With hysteresis. What stands and never moved is mostly parked: it must be in the path for certain."""
+        if _oncoming(track, self._ego):
+            return False
+        offset_m, sigma_m = self.path_offset_m(track)
+        if not track.moved:
+            limit_m = self._s.standing_leave_m if track.in_path else self._s.standing_half_width_m
+            return abs(offset_m) + self._s.standing_sigma * sigma_m <= limit_m
+        return abs(offset_m) <= (self._s.path_leave_m if track.in_path else self._s.path_half_width_m)
 
     def choose(self, t_ns: int) -> Track | None:
         """The lead at t_ns: nearest in the path; a nearer one must stay in it for lead_hold_s to take over."""
         candidates = []
         for track in self.tracks.values():
-            offset_m = abs(self.path_offset_m(track))
-            limit_m = self._s.path_leave_m if track.in_path else self._s.path_half_width_m
-            inside = offset_m <= limit_m
+            track.moved = _moved(track, self._ego)
+            inside = self._in_path(track)
             if inside and not track.in_path:
                 track.in_path_since_ns = t_ns
             track.in_path = inside
@@ -160,3 +171,21 @@ class LeadTracker:
             nearest = current
         self._lead_id = nearest.track_id
         return nearest
+
+
+def _moved(track: Track, ego: EgoState | None) -> bool:
+    """Whether a track was ever seen to move over ground; where the own speed is not known it may have."""
+    speed = track.filter.lead_speed_mps
+    if track.moved or ego is None or speed is None:
+        return True
+    sigma = math.sqrt(max(float(track.filter.covariance[1, 1]), 0.0))
+    return speed - 2.0 * math.hypot(sigma, track.scale_sigma * track.filter.range_rate_mps) > STANDING_MPS
+
+
+def _oncoming(track: Track, ego: EgoState | None) -> bool:
+    """Whether it comes towards us, by more than a wrong size of its plate would feign: never a lead."""
+    speed = track.filter.lead_speed_mps
+    if ego is None or speed is None:
+        return False
+    sigma = math.sqrt(max(float(track.filter.covariance[1, 1]), 0.0))
+    return speed + 2.0 * sigma < -max(ONCOMING_MPS, ONCOMING_SHARE * ego.speed_mps)

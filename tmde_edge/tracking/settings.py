@@ -24,4 +24,7 @@ class TrackerSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     confirm_hits: Annotated[int, Meta(ge=1)] = 2  # ranges before a track can be the lead
     path_half_width_m: Positive = 1.1  # a plate nearer than this to the path's middle is in the path
     path_leave_m: Positive = 1.7  # and stays in it up to here
+    standing_half_width_m: Positive = 0.9  # what never moved must overlap half of the own width ...
+    standing_leave_m: Positive = 1.2  # and stays in the path up to here ...
+    standing_sigma: Annotated[float, Meta(ge=0)] = 0.5  # by so many sigmas of its offset
     lead_hold_s: Positive = 0.3  # a nearer candidate must be in the path this long before it takes over

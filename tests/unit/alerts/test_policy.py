@@ -95,4 +95,11 @@ def test_uncalibrated_ttc_still_warns() -> None:
 
 
 def test_required_deceleration() -> None:
-    assert run(AlertPolicy(S), 0, 1, ttc_s=3.5, required_decel_mps2=6.0)[-1] == ("warning", "deceleration")
+    assert run(AlertPolicy(S), 0, 1, ttc_s=3.9, required_decel_mps2=6.0)[-1] == ("warning", "deceleration")
+
+
+def test_what_never_moved_is_told_of_late() -> None:
+    """A car that stands at the bend's outer kerb lies ahead until the bend begins."""
+    assert run(AlertPolicy(S), 0, 1, ttc_s=2.7, required_decel_mps2=8.0, standing=True)[-1][0] == "none"
+    assert run(AlertPolicy(S), 0, 1, ttc_s=2.3, standing=True)[-1] == ("warning", "ttc")
+    assert run(AlertPolicy(S), 0, 1, ttc_s=2.7, standing=False)[-1] == ("warning", "ttc")

@@ -6,6 +6,7 @@ import pytest
 
 from tmde_edge.messages import EgoState, RangeMeasurement
 from tmde_edge.tracking.lead import LeadTracker
+from tmde_edge.tracking.path import OwnPath
 from tmde_edge.tracking.settings import TrackerSettings
 
 S = TrackerSettings()
@@ -92,3 +93,63 @@ def test_scale_sigma_is_never_averaged_away() -> None:
     drive(t, 0, 300, {1: (20.0, 0.0)})
     assert t.tracks[1].sigma_m == pytest.approx(0.2, rel=0.05)
     assert t.tracks[1].sigma_m >= 0.2
+
+
+def towards(tracker: LeadTracker, *, closing_mps: float, lateral_m: float, ego_mps: float = 14.0, yaw_to_radps: float = 0.0,
+            seconds: float = 1.5) -> list[bool]:
+    """In the path or not, frame by frame, of one vehicle that begins 50 m ahead; the wheel turns over the last half second."""
+    inside = []
+    frames = round(seconds * 30)
+    for k in range(frames):
+        t = k * DT_NS
+        share = max(0.0, (k - (frames - 15)) / 15)
+        tracker.set_ego(EgoState(t_ns=t, speed_mps=ego_mps, yaw_rate_radps=yaw_to_radps * share))
+        tracker.predict(t)
+        track = tracker.update(measured(1, t, 50.0 - closing_mps * t * 1e-9, lateral_m), "plate")
+        tracker.choose(t)
+        inside.append(track.in_path)
+    return inside
+
+
+def test_what_stands_must_overlap_half_of_us_what_drives_need_not() -> None:
+    assert not any(towards(LeadTracker(S), closing_mps=14.0, lateral_m=1.05)[10:])
+    assert all(towards(LeadTracker(S), closing_mps=8.0, lateral_m=1.05)[10:])
+    assert all(towards(LeadTracker(S), closing_mps=14.0, lateral_m=0.3)[10:])
+
+
+def test_a_vehicle_that_drove_is_no_parked_one_when_it_stops() -> None:
+    t = LeadTracker(S)
+    towards(t, closing_mps=4.0, lateral_m=0.0)
+    track = t.tracks[1]
+    assert track.moved
+    assert not LeadTracker(S).tracks
+    still = LeadTracker(S)
+    towards(still, closing_mps=14.0, lateral_m=0.0)
+    assert not still.tracks[1].moved
+
+
+def test_the_turning_wheel_takes_what_stands_ahead_out_of_the_path_before_the_arc_does() -> None:
+    """Half a second into a bend: 6 deg/s at 14 m/s is an arc that is 0.1 m off at 5 m, but the bend goes on."""
+    straight = towards(LeadTracker(S), closing_mps=14.0, lateral_m=0.0)
+    turning = towards(LeadTracker(S), closing_mps=14.0, lateral_m=0.0, yaw_to_radps=-0.05)
+    assert straight[-1]
+    assert turning[20]
+    assert not turning[-1]
+
+
+def test_the_oncoming_are_never_the_lead() -> None:
+    assert not any(towards(LeadTracker(S), closing_mps=27.0, lateral_m=0.0)[10:])
+    # a size that is wrong by a quarter makes a standing car seem to come: it stays
+    assert any(towards(LeadTracker(S), closing_mps=17.0, lateral_m=0.0)[10:])
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_offset_of_an_arc(sign: float) -> None:
+    path = OwnPath()
+    for k in range(40):
+        path.set_ego(EgoState(t_ns=k * DT_NS, speed_mps=10.0, yaw_rate_radps=sign * 0.2))
+    offset, sigma = path.offset_m(0.0, 0.0, 20.0)
+    assert offset == pytest.approx(sign * 0.02 * 400 / 2)
+    assert 0.05 < sigma < 0.5
+    path.set_ego(None)
+    assert path.offset_m(0.7, 0.1, 20.0)[0] == 0.7
