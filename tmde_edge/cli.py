@@ -136,6 +136,21 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument(
         "--frames", nargs="+", metavar="SOURCE", default=[], help="quantize: recordings or folders of your own roads"
     )
+    sub = verb("status", _status, "how is the running service: rates, latencies, queues, temperature, faults, last alerts")
+    sub.add_argument("--json", action="store_true", help="one JSON object")
+    sub.add_argument("--follow", action="store_true", help="again each second until interrupted")
+    sub.add_argument("--socket", metavar="PATH", default="", help="of the service (default: runtime.status_socket)")
+    sub = verb("incident", _incident, "some seconds of a drive as a folder: frames, CAN, decisions, configuration, calibration")
+    sub.add_argument("folder", nargs="?", metavar="FOLDER", type=Path, help="of the recordings (default: record.folder)")
+    which = sub.add_mutually_exclusive_group()
+    which.add_argument("--last", action="store_true", help="the last alert in the ring of drive logs (the default)")
+    which.add_argument("--at", metavar="TIME", help="a moment in the ring, such as 2026-11-22T06:35:12Z (without Z: local time)")
+    which.add_argument("--kept", metavar="NAME", nargs="?", const="", help="an incident that was kept by itself; the newest")
+    which.add_argument("--now", metavar="NOTE", nargs="?", const="", help="ask the running service to keep the last seconds")
+    which.add_argument("--list", action="store_true", help="what is kept")
+    sub.add_argument("--out", metavar="FOLDER", type=Path, help="where to (default: incident-... here)")
+    sub.add_argument("--before", metavar="SECONDS", type=float, default=10.0)
+    sub.add_argument("--after", metavar="SECONDS", type=float, default=10.0)
     sub = verb("bench", _bench, "how fast here: p50, p95, p99 of each stage by resolution")
     sub.add_argument("what", nargs="?", choices=["detect"], default="detect")
     sub.add_argument("--json", action="store_true", help="rows as JSON lines")
@@ -405,6 +420,42 @@ def _models(args: argparse.Namespace) -> int:
                 f"{made.spec.name}: {made.bytes} bytes; on {a.frames} held-out frames correlation {a.correlation:.3f}, "
                 f"differs by {a.relative_difference:.1%}; {a.float_ms:.0f} ms float, {a.int8_ms:.0f} ms int8",
             )
+    return 0
+
+
+def _status(args: argparse.Namespace) -> int:
+    import time
+
+    from tmde_edge.app.status import ask, lines_of, socket_path
+
+    path = socket_path(args.socket or _config(args).runtime.status_socket)
+    while True:
+        answer = ask(path, {"request": "status"})
+        print(json.dumps(answer) if args.json else "\n".join(lines_of(answer)), flush=True)
+        if not args.follow:
+            return 0
+        time.sleep(1.0)
+        if not args.json:
+            print()
+
+
+def _incident(args: argparse.Namespace) -> int:
+    from tmde_edge.app import incidents
+
+    config = _config(args)
+    folder = args.folder or Path(config.record.folder)
+    if args.list:
+        for line in incidents.list_lines(folder):
+            print(line)
+        return 0
+    if args.now is not None:
+        print(incidents.ask_now(config.runtime.status_socket, args.now))
+        return 0
+    made = incidents.take_out(
+        folder, out=args.out, at=args.at, kept=args.kept, before_s=args.before, after_s=args.after
+    )
+    c = made.counts
+    _say(args, f"{made.what}: {c['frames']} frames, {c['can_frames']} CAN frames, {c['decisions']} decisions in {made.out}")
     return 0
 
 

@@ -16,9 +16,10 @@ from tmde_edge.adapters.cameras.sources import FrameSource, open_source
 from tmde_edge.adapters.can_ports.log_files import CandumpWriter, iter_can_log
 from tmde_edge.adapters.video_out import VideoWriter
 from tmde_edge.app.can_times import CanTimeline
-from tmde_edge.app.drive_log import DriveLogWriter, JpegSettings
+from tmde_edge.app.drive_log import DriveLogWriter
 from tmde_edge.app.dry_run import Step, dry_run
 from tmde_edge.app.overlay import Image, draw
+from tmde_edge.app.recorder import SingleLog, frame_keeper
 from tmde_edge.app.records import Record
 from tmde_edge.app.report.about import about_run
 from tmde_edge.app.report.writer import ReportWriter
@@ -79,9 +80,9 @@ class Desk:
             config = msgspec.structs.replace(config, can=msgspec.structs.replace(config.can, enabled=False))
         log = None
         if o.record is not None:
-            jpeg = JpegSettings() if config.record.frames else None
             try:
-                log = self._stack.enter_context(DriveLogWriter(o.record, log_config(config, self._base_dir), jpeg=jpeg))
+                writer = DriveLogWriter(o.record, log_config(config, self._base_dir))
+                log = self._stack.enter_context(SingleLog(writer, frame_keeper(config.record) if config.record.frames else None))
             except OSError as e:
                 raise UsageError(f"{o.record}: cannot be written ({e.strerror or e})") from None
         can = CanTimeline(iter_can_log(o.can_log), o.can_offset_s) if o.can_log is not None else None

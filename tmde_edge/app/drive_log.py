@@ -1,11 +1,13 @@
 """The drive log: an MCAP file of JSON messages (Foxglove opens it) in decision order, floats exact.
 
-One channel a message type. `/config` comes first; then every input, directly followed by the outputs it caused.
+One channel a message type. `/config` comes first; then every input, directly followed by the outputs it caused. A long drive
+is a row of such files (app/ring.py): `/config` says which part of which drive a file is.
 """
 
 from __future__ import annotations
 
 import base64
+import contextlib
 import os
 import struct
 import time
@@ -13,9 +15,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Any, TypeAlias, get_args, get_origin, get_type_hints
+from typing import IO, Any, Literal, TypeAlias, get_args, get_origin, get_type_hints
 
-import cv2
 import mcap.exceptions
 import msgspec
 import numpy as np
@@ -26,11 +27,11 @@ from mcap.writer import CompressionType, Writer
 
 from tmde_edge import __version__
 from tmde_edge.errors import InputDataError, InputMissingError
-from tmde_edge.messages import CanFrame, DepthReading, Event, Frame, FrameResult, Output, Sighting, Tick
+from tmde_edge.messages import CanFrame, DepthReading, Event, FrameResult, Output, RangeReference, Sighting, Tick
 
 INPUTS: dict[type[Any], str] = {Sighting: "/sighting", CanFrame: "/can_rx", DepthReading: "/depth", Tick: "/tick"}
 OUTPUTS: dict[type[Any], str] = {FrameResult: "/frame_result", CanFrame: "/can_tx"}
-CONFIG, IMAGE = "/config", "/image"
+CONFIG, IMAGE, REFERENCE = "/config", "/image", "/range_reference"
 _BY_TOPIC: dict[str, type[Any]] = {topic: kind for kind, topic in (*INPUTS.items(), *OUTPUTS.items())}
 # What a cut-off or damaged end of a file makes the reader raise.
 _TORN = (
@@ -38,6 +39,7 @@ _TORN = (
     *(EOFError, ValueError, RuntimeError, MemoryError, OverflowError),
 )
 Json: TypeAlias = dict[str, Any]
+Begins: TypeAlias = Literal["start", "continued", "gap", "cut"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,37 +51,41 @@ class LogEntry:
     complete: bool = True
 
 
-@dataclass(frozen=True, slots=True)
-class JpegSettings:
-    """Recording of the frames themselves."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Part:
+    """Which part of a drive a file is. A replay needs every part from segment 0 on, and no gap."""
 
-    quality: int = 85
-    every: int = 1  # each n-th frame
+    drive: int = 0
+    segment: int = 0
+    begins: Begins = "start"  # gap: steps were lost before; cut: taken out of a drive
+    wall_ns: int = 0  # UTC and monotonic time of one moment: what the clock on the wall said at a t_ns
+    monotonic_ns: int = 0
 
 
 class DriveLogWriter:
-    """Writes a drive log; what is older than `flush_s` survives a power cut.
+    """Writes a drive log; what is older than `flush_s` survives a power cut. Raises OSError when the disk refuses."""
 
-    `jpeg` None: no pictures. Raises OSError when the disk refuses.
-    """
-
-    def __init__(self, path: Path, config: Json, *, jpeg: JpegSettings | None = None, flush_s: float = 0.5) -> None:
+    def __init__(self, path: Path, config: Json, *, part: Part | None = None, flush_s: float = 0.5) -> None:
         self._stream: IO[bytes] = path.open("wb")
         self._writer = Writer(self._stream, compression=CompressionType.ZSTD)
         self._encoder = msgspec.json.Encoder(enc_hook=_plain_number)
-        self._jpeg = jpeg
         self._flush_s = flush_s
         self._flushed_s = time.monotonic()
         self._log_time_ns = 0
         self._sequence = 0
-        self._frames = 0
-        self._writer.start(profile="", library=f"tmde-edge {__version__}")
-        self._channels = {
-            topic: self._channel(topic, f"tmde_edge.{kind.__name__}", json_schema(kind)) for topic, kind in _BY_TOPIC.items()
-        }
-        self._channels[CONFIG] = self._channel(CONFIG, "tmde_edge.Config", {"type": "object", "properties": {}})
-        self._put(CONFIG, 0, msgspec.json.encode({"version": __version__, "config": config}))
-        self.flush()
+        try:
+            self._writer.start(profile="", library=f"tmde-edge {__version__}")
+            self._channels = {
+                topic: self._channel(topic, f"tmde_edge.{kind.__name__}", json_schema(kind)) for topic, kind in _BY_TOPIC.items()
+            }
+            self._channels[CONFIG] = self._channel(CONFIG, "tmde_edge.Config", {"type": "object", "properties": {}})
+            head = {"version": __version__, "config": config, "part": msgspec.to_builtins(part or Part())}
+            self._put(CONFIG, 0, msgspec.json.encode(head))
+            self.flush()
+            _sync_folder(path.parent)  # or a power cut may lose the name of the file
+        except OSError:
+            self.abandon()
+            raise
 
     def __enter__(self) -> DriveLogWriter:
         return self
@@ -87,15 +93,35 @@ class DriveLogWriter:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self.close()
 
-    def write(self, event: Event, outputs: tuple[Output, ...], frame: Frame | None = None) -> None:
-        """Logs one step. `frame` is the picture the event was made from, kept only where pictures are asked for."""
+    @property
+    def bytes_written(self) -> int:
+        """Size of the file so far."""
+        return self._stream.tell()
+
+    def write(self, event: Event, outputs: tuple[Output, ...]) -> None:
+        """Logs one step."""
         self._put(INPUTS[type(event)], event.t_ns, self._encoder.encode(event))
         for output in outputs:
             self._put(OUTPUTS[type(output)], output.t_ns, self._encoder.encode(output))
-        if frame is not None and self._jpeg is not None:
-            if self._frames % self._jpeg.every == 0:
-                self._put_image(frame, self._jpeg.quality)
-            self._frames += 1
+        self._flush_when_due()
+
+    def picture(self, t_ns: int, jpeg: bytes) -> None:
+        """Adds the picture of a frame. It may come later than its sighting; viewers sort by its time."""
+        if IMAGE not in self._channels:
+            self._channels[IMAGE] = self._channel(IMAGE, "foxglove.CompressedImage", _COMPRESSED_IMAGE)
+        stamp = {"sec": t_ns // 1_000_000_000, "nsec": t_ns % 1_000_000_000}
+        image = {"timestamp": stamp, "frame_id": "camera", "data": jpeg, "format": "jpeg"}  # bytes become base64
+        self._put(IMAGE, t_ns, self._encoder.encode(image), in_order=False)
+        self._flush_when_due()
+
+    def reference(self, reference: RangeReference) -> None:
+        """Adds what another instrument measured."""
+        if REFERENCE not in self._channels:
+            self._channels[REFERENCE] = self._channel(REFERENCE, "tmde_edge.RangeReference", json_schema(RangeReference))
+        self._put(REFERENCE, reference.t_ns, self._encoder.encode(reference), in_order=False)
+        self._flush_when_due()
+
+    def _flush_when_due(self) -> None:
         if time.monotonic() - self._flushed_s >= self._flush_s:
             self.flush()
 
@@ -116,26 +142,23 @@ class DriveLogWriter:
         os.fsync(self._stream.fileno())
         self._stream.close()
 
+    def abandon(self) -> None:
+        """Lets the file go as it is, after an error of the disk."""
+        with contextlib.suppress(OSError):
+            self._stream.close()
+
     def _channel(self, topic: str, name: str, schema: Json) -> int:
         schema_id = self._writer.register_schema(name, "jsonschema", msgspec.json.encode(schema))
         channel_id: int = self._writer.register_channel(topic, "json", schema_id)
         return channel_id
 
-    def _put(self, topic: str, t_ns: int, data: bytes) -> None:
-        # Viewers sort by log time: it must not run backwards, for file order is decision order.
-        self._log_time_ns = max(self._log_time_ns, t_ns)
-        self._writer.add_message(self._channels[topic], self._log_time_ns, data, max(t_ns, 0), self._sequence)
+    def _put(self, topic: str, t_ns: int, data: bytes, *, in_order: bool = True) -> None:
+        # Viewers sort by log time: for steps it must not run backwards, for file order is decision order.
+        log_time_ns = max(t_ns, 0)
+        if in_order:
+            log_time_ns = self._log_time_ns = max(self._log_time_ns, t_ns)
+        self._writer.add_message(self._channels[topic], log_time_ns, data, max(t_ns, 0), self._sequence)
         self._sequence += 1
-
-    def _put_image(self, frame: Frame, quality: int) -> None:
-        if IMAGE not in self._channels:
-            self._channels[IMAGE] = self._channel(IMAGE, "foxglove.CompressedImage", _COMPRESSED_IMAGE)
-        ok, jpeg = cv2.imencode(".jpg", frame.image, [cv2.IMWRITE_JPEG_QUALITY, quality])
-        if not ok:
-            raise OSError(f"frame {frame.index} cannot be compressed")
-        stamp = {"sec": frame.t_ns // 1_000_000_000, "nsec": frame.t_ns % 1_000_000_000}
-        image = {"timestamp": stamp, "frame_id": "camera", "data": jpeg.tobytes(), "format": "jpeg"}  # bytes become base64
-        self._put(IMAGE, frame.t_ns, self._encoder.encode(image))
 
 
 class DriveLogReader:
@@ -155,6 +178,7 @@ class DriveLogReader:
         head = self._decode(first[1], Json)
         self.version = str(head.get("version", ""))
         self.config: Json = head.get("config", {})
+        self.part: Part = msgspec.convert(head.get("part", {}), Part)
 
     def entries(self) -> Iterator[LogEntry]:
         """Every step in order. Raises InputDataError for a message that is not what its channel promises."""
@@ -183,6 +207,12 @@ class DriveLogReader:
                 stamp = image["timestamp"]
                 yield stamp["sec"] * 1_000_000_000 + stamp["nsec"], base64.b64decode(image["data"])
 
+    def references(self) -> Iterator[RangeReference]:
+        """What another instrument measured, in order."""
+        for topic, data in self._messages():
+            if topic == REFERENCE:
+                yield self._decode(data, RangeReference)
+
     def _messages(self) -> Iterator[tuple[str, bytes]]:
         self.torn = None
         topics: dict[int, str] = {}
@@ -201,6 +231,14 @@ class DriveLogReader:
             return msgspec.json.decode(data, type=kind)
         except msgspec.MsgspecError as error:
             raise InputDataError(f"{self._path}: unreadable message ({error}); was it written by another version?") from error
+
+
+def _sync_folder(folder: Path) -> None:
+    fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(fd)
+    finally:
+        os.close(fd)
 
 
 def json_schema(kind: Any) -> Json:

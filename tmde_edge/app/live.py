@@ -11,14 +11,16 @@ import logging
 import queue
 import threading
 import time
-from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Protocol, TypeAlias
 
 from tmde_edge.adapters.cameras.live_camera import Captured, LiveCamera, WatchedCamera
 from tmde_edge.app.background_log import BackgroundLog
+from tmde_edge.app.board import BoardState
+from tmde_edge.app.live_stats import LiveStats
 from tmde_edge.app.sdnotify import Notifier
+from tmde_edge.app.shedding import LEVELS, Shedder
 from tmde_edge.messages import Alert, CanFrame, DepthReading, Event, Frame, FrameResult, Output, Sighting, Tick
 
 _log = logging.getLogger(__name__)
@@ -27,6 +29,7 @@ OVERLOAD_HOLD_NS = 2_000_000_000  # "overload" stays in force this long after it
 LATE_NS = 500_000_000  # a sighting that waited longer for its decision is a sign of overload
 STATUS_PERIOD_NS = 1_000_000_000
 JOIN_S = 2.0
+COOL_C = 5.0  # a hot board is no longer hot this far below its limit
 
 
 class Decider(Protocol):
@@ -78,6 +81,7 @@ class LiveCounters:
     can_frames: int = 0
     ticks: int = 0
     skipped: int = 0  # frames that a newer one replaced before they were looked at
+    shed: int = 0  # frames left out on purpose, to shed load
     inbox_dropped: int = 0
 
 
@@ -98,10 +102,19 @@ class LiveLoop:
         outlet: Outlet | None = None,
         on_alert: Callable[[Alert], None] | None = None,
         on_frame: Callable[[Frame], None] | None = None,
+        on_result: Sequence[Callable[[FrameResult], None]] = (),
+        more_faults: Callable[[], tuple[str, ...]] | None = None,
+        board: Callable[[], BoardState] | None = None,
+        hot_c: float = 80.0,
+        shedder: Shedder | None = None,
+        on_thread: Callable[[str], None] | None = None,
         tick_hz: float = 20.0,
         monotonic_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
-        """`see` and `on_frame` (depth, a live page) run on the perception thread, `outlet` and `on_alert` on the deciding one."""
+        """`see` and `on_frame` (depth, a live page) run on the perception thread, all else that is called on the deciding one.
+
+        `on_thread` is called first on each thread, with its name. `shedder`: None never sheds load.
+        """
         self._stopping = threading.Event()
         self.camera = WatchedCamera(camera, pause=self._stopping.wait)
         self._see = see
@@ -111,6 +124,13 @@ class LiveLoop:
         self._outlet = outlet
         self._on_alert = on_alert
         self._on_frame = on_frame
+        self._on_result = tuple(on_result)
+        self._more_faults = more_faults or tuple
+        self._board = board or BoardState
+        self._hot_c, self._hot = hot_c, False
+        self.shedder = shedder
+        self._on_thread = on_thread or (lambda name: None)
+        self.stats = LiveStats()
         self._tick_ns = round(1e9 / tick_hz)
         self._now_ns = monotonic_ns
         self.counters = LiveCounters()
@@ -121,7 +141,6 @@ class LiveLoop:
         self._error: BaseException | None = None
         self._overload_ns: int | None = None
         self._fed_ns = self._status_ns = 0
-        self._recent: deque[int] = deque(maxlen=60)  # times of decided sightings
         self._last: FrameResult | None = None
         self._bus: BusPort | None = None
 
@@ -150,6 +169,7 @@ class LiveLoop:
     def run(self, bus: BusPort) -> None:
         """Decides until `stop`, or until a played recording is over. Raises what a thread died of."""
         self._bus = bus
+        self._on_thread("decision")
         threads = [self._thread("capture", self._capture), self._thread("perception", self._perceive)]
         bus.start()
         for thread in threads:
@@ -179,13 +199,17 @@ class LiveLoop:
             if now_ns >= next_tick_ns:
                 # Never two ticks for one silence: after a pause of the whole process time goes on from now.
                 next_tick_ns = max(next_tick_ns + self._tick_ns, now_ns)
-                self._decide(Tick(t_ns=now_ns, faults=self._faults(now_ns)), None)
+                self._decide(self._tick(now_ns), None)
                 continue
             try:
                 event, frame = self._inbox.get(timeout=(next_tick_ns - now_ns) * 1e-9)
             except queue.Empty:
                 continue
             self._decide(event, frame)
+
+    def _tick(self, now_ns: int) -> Tick:
+        temperature_c = self._board().temperature_c
+        return Tick(t_ns=now_ns, faults=self._faults(now_ns), temperature_c=temperature_c)
 
     def _decide(self, event: Event, frame: Frame | None) -> None:
         outputs = self._estimation.step(event)
@@ -199,12 +223,14 @@ class LiveLoop:
                     self._on_alert(output.alert)
                 if self._outlet is not None and isinstance(event, Sighting):
                     self._outlet.frame(output, event)
+                for listener in self._on_result:
+                    listener(output)
         if self._log_to is not None:
             self._log_to.write(event, outputs, frame)
         now_ns = self._now_ns()
         if isinstance(event, Sighting):
             self.counters.sightings += 1
-            self._recent.append(now_ns)
+            self.stats.decided(event.t_ns, now_ns)
             if now_ns - event.t_ns > LATE_NS:
                 self._overload_ns = now_ns
         elif isinstance(event, CanFrame):
@@ -221,10 +247,24 @@ class LiveLoop:
             self._notifier.watchdog()
             self._fed_ns = now_ns
         if now_ns - self._status_ns >= STATUS_PERIOD_NS:
+            self._shed(now_ns)
             self._notifier.status(self.status_text(now_ns))
             self._status_ns = now_ns
             if self._outlet is not None:
                 self._outlet.service(self.service_values(now_ns))
+
+    def _shed(self, now_ns: int) -> None:
+        """Takes the board's pulse once a second and does less, or more again."""
+        state, c = self._board(), self.counters
+        limit_c = self._hot_c - (COOL_C if self._hot else 0.0)
+        self._hot = (state.temperature_c is not None and state.temperature_c >= limit_c) or any(
+            "temperature" in word for word in state.throttled
+        )
+        load = self.stats.load(
+            now_ns, sightings=c.sightings, skipped=c.skipped, inbox_dropped=c.inbox_dropped, hot=self._hot
+        )
+        if self.shedder is not None and self.shedder.step(now_ns * 1e-9, load):
+            _log.warning("load shed: %s (%s)", LEVELS[self.shedder.level], load)
 
     def _blind_for_a_reason(self) -> bool:
         return self.camera.fault is not None or self.camera.camera.ended
@@ -233,34 +273,47 @@ class LiveLoop:
         faults: list[str] = []
         if self.camera.fault is not None:
             faults.append(self.camera.fault)
-        if self._overload_ns is not None and now_ns - self._overload_ns < OVERLOAD_HOLD_NS:
+        late = self._overload_ns is not None and now_ns - self._overload_ns < OVERLOAD_HOLD_NS
+        if late or (self.shedder is not None and self.shedder.level > 0):
             faults.append("overload")
-        if self._log_to is not None and self._log_to.failed:
-            faults.append("record")
-        return (*faults, *(self._bus.faults if self._bus is not None else ()))
+        if self._hot:
+            faults.append("hot")
+        if self._log_to is not None and self._log_to.problem is not None:
+            faults.append("disk")
+        return (*faults, *self._more_faults(), *(self._bus.faults if self._bus is not None else ()))
+
+    def faults(self, now_ns: int) -> tuple[str, ...]:
+        """Everything that is wrong now, as the adapters and the estimation know it."""
+        last = self._last
+        return tuple(dict.fromkeys((*self._faults(now_ns), *(last.faults if last is not None else ()))))
+
+    @property
+    def last(self) -> FrameResult | None:
+        """The last result."""
+        return self._last
+
+    @property
+    def inbox_waiting(self) -> int:
+        """Events that wait for a decision."""
+        return self._inbox.qsize()
 
     def status_text(self, now_ns: int) -> str:
         """One line for people."""
-        recent = [t for t in self._recent if now_ns - t < 2_000_000_000]
-        span_s = (recent[-1] - recent[0]) * 1e-9 if len(recent) > 1 else 0.0
-        rate = (len(recent) - 1) / span_s if span_s > 0 else 0.0
-        parts = [f"{rate:.1f} frames/s"]
+        parts = [f"{self.stats.rate_hz(now_ns):.1f} frames/s"]
         last = self._last
         if last is not None:
             lead = last.lead
             if lead is not None and lead.distance_m is not None:
                 parts.append(f"lead {lead.distance_m:.1f} m")
             parts.append(f"alert {last.alert.level}")
-        faults = dict.fromkeys((*self._faults(now_ns), *(last.faults if last is not None else ())))
+        faults = self.faults(now_ns)
         parts.append("faults " + ", ".join(faults) if faults else "no faults")
         return "; ".join(parts)
 
     def service_values(self, now_ns: int) -> dict[str, Any]:
         """What the service line of the socket holds."""
-        last = self._last
-        faults = dict.fromkeys((*self._faults(now_ns), *(last.faults if last is not None else ())))
         return {
-            "t": round(now_ns * 1e-9, 3), "status": self.status_text(now_ns), "faults": list(faults),
+            "t": round(now_ns * 1e-9, 3), "status": self.status_text(now_ns), "faults": list(self.faults(now_ns)),
             **asdict(self.counters),
         }  # fmt: skip
 
@@ -269,6 +322,7 @@ class LiveLoop:
     def _thread(self, name: str, work: Callable[[], None]) -> threading.Thread:
         def guarded() -> None:
             try:
+                self._on_thread(name)
                 work()
             except Exception as error:  # a thread's top: it stops the service instead of going unnoticed
                 _log.exception("the %s thread stopped", name)
@@ -291,7 +345,7 @@ class LiveLoop:
             self._fresh.notify()
 
     def _perceive(self) -> None:
-        index = 0
+        index = count = 0
         while not self._stopping.is_set():
             with self._fresh:
                 if self._newest is None:
@@ -306,11 +360,18 @@ class LiveLoop:
                 self.camera.garbled()
                 continue
             self.camera.good()
+            count += 1
+            if self.shedder is not None and count % self.shedder.frame_factor:
+                self.counters.shed += 1
+                continue
             frame = Frame(t_ns=captured.t_ns, index=index, image=image)
             index += 1
+            start_ns = self._now_ns()
             if self._on_frame is not None:
                 self._on_frame(frame)
-            self._put(self._see(frame), frame)
+            sighting = self._see(frame)
+            self.stats.perceived(self._now_ns() - start_ns)
+            self._put(sighting, frame)
         self._seen_all.set()
 
     def _put(self, event: Event, frame: Frame | None = None) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from tmde_edge.app.drive_log import DriveLogReader, LogEntry
+from tmde_edge.app.ring import parts_before
 from tmde_edge.errors import InputDataError
 from tmde_edge.messages import Event, Output
 
@@ -49,20 +50,28 @@ class Outcome:
 
 
 def replay(path: Path, make_estimation: Callable[[dict[str, Any]], Decider], tolerance: float = TOLERANCE) -> Outcome:
-    """Runs a drive log again up to the first difference. Raises InputMissingError or InputDataError."""
-    log = DriveLogReader(path)
-    estimation = make_estimation(log.config)
+    """Runs a drive log again up to the first difference; of a part of a ring, the drive from its beginning.
+
+    Raises InputMissingError or InputDataError.
+    """
+    logs = [DriveLogReader(part) for part in parts_before(path)] if path.is_file() else [DriveLogReader(path)]
+    estimation = make_estimation(logs[0].config)
     events = outputs = 0
-    for entry in log.entries():
-        got = estimation.step(entry.event)
-        difference = _compare(entry, got, events, tolerance)
-        if difference is not None:
-            return Outcome(events, outputs, difference, log.torn)
-        events += 1
-        outputs += len(got)
+    for i, log in enumerate(logs):
+        if log.part.begins in ("gap", "cut") or (i > 0 and logs[i - 1].torn is not None):
+            where = "was cut out of a drive" if log.part.begins == "cut" else "begins where steps are missing"
+            raise InputDataError(f"{path}: {where}; a replay needs a drive from its beginning; use --dry-run on its frames")
+        for entry in log.entries():
+            got = estimation.step(entry.event)
+            difference = _compare(entry, got, events, tolerance)
+            if difference is not None:
+                return Outcome(events, outputs, difference, log.torn)
+            events += 1
+            outputs += len(got)
+    torn = logs[-1].torn
     if events == 0:
-        raise InputDataError(f"{path}: no event in this drive log{f' ({log.torn})' if log.torn else ''}")
-    return Outcome(events, outputs, None, log.torn)
+        raise InputDataError(f"{path}: no event in this drive log{f' ({torn})' if torn else ''}")
+    return Outcome(events, outputs, None, torn)
 
 
 def _compare(entry: LogEntry, got: tuple[Output, ...], number: int, tolerance: float) -> Difference | None:

@@ -7,24 +7,32 @@ import signal
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from datetime import datetime, timezone
 from pathlib import Path
 
+from tmde_edge.adapters.cameras.live_camera import LiveCamera
 from tmde_edge.adapters.can_ports.bus import CanPort
 from tmde_edge.adapters.can_ports.dbc_files import load_vehicle_decoder
 from tmde_edge.adapters.can_ports.disabled import DisabledCanPort
 from tmde_edge.adapters.can_ports.nmea import NmeaPort
-from tmde_edge.adapters.depth.threaded import ThreadedDepth
+from tmde_edge.adapters.depth.paced import Network
+from tmde_edge.adapters.range_port import RangePort
+from tmde_edge.app import journal, status
 from tmde_edge.app.alert_command import AlertCommand
 from tmde_edge.app.background_log import BackgroundLog
-from tmde_edge.app.drive_log import DriveLogWriter, JpegSettings
+from tmde_edge.app.board import BoardWatch, limit_processor, raise_priority
+from tmde_edge.app.depth_keeper import DepthKeeper
 from tmde_edge.app.live import BusPort, LiveLoop
 from tmde_edge.app.publish import Publisher, socket_path
+from tmde_edge.app.recorder import make_recorder
 from tmde_edge.app.sdnotify import Notifier
+from tmde_edge.app.service_status import Reporter
+from tmde_edge.app.shedding import Shedder
+from tmde_edge.app.status import StatusServer
+from tmde_edge.app.teller import Teller
 from tmde_edge.app.wiring import build_camera, build_estimation, build_eyes, check_parts, depth_network, log_config
 from tmde_edge.config import Config
-from tmde_edge.errors import DeviceError, ModelError
-from tmde_edge.messages import CanFrame
+from tmde_edge.errors import DeviceError
+from tmde_edge.messages import CanFrame, DepthReading, Frame, Sighting
 from tmde_edge.plates.standard import select
 from tmde_edge.ranging.budget import one_line
 
@@ -35,7 +43,7 @@ class _Silent:
     """A bus that is listened to only: what would be sent is counted, not sent."""
 
     def __init__(self, port: BusPort) -> None:
-        self._port = port
+        self.port = self._port = port
         self.withheld = 0
 
     @property
@@ -52,18 +60,35 @@ class _Silent:
         self._port.close()
 
 
-def serve(config: Config, base_dir: Path, log_line: Callable[[str], None]) -> int:
-    """Runs the service; returns 0 after SIGTERM, SIGINT or the end of a played file."""
-    logging.basicConfig(level=logging.INFO, format="%(levelname)s %(message)s")
+def serve(
+    config: Config,
+    base_dir: Path,
+    log_line: Callable[[str], None],
+    *,
+    camera: LiveCamera | None = None,
+    depth_network_of: Callable[[Config], Network] = depth_network,
+) -> int:
+    """Runs the service; returns 0 after SIGTERM, SIGINT or the end of a played file.
+
+    `camera` and `depth_network_of` take the place of the configured ones (tests/benchmarks/faults.py breaks them on purpose).
+    """
+    journal.set_up()
     for note in check_parts(config, base_dir):
         log_line(note)
-    camera = config.camera.camera()
-    if camera is not None:
-        log_line(one_line(camera, select(config.plates.expect), config.ranging))
+    calibrated = config.camera.camera()
+    if calibrated is not None:
+        log_line(one_line(calibrated, select(config.plates.expect), config.ranging))
+    runtime = config.runtime
+    if runtime.cpu_affinity and (failed := limit_processor(runtime.cpu_affinity)) is not None:
+        _log.warning("%s", failed)
     eyes = build_eyes(config, time.perf_counter_ns)
     estimation = build_estimation(config, base_dir)
     with ExitStack() as stack:
-        depth = _depth(config, lambda: loop)
+        board = BoardWatch()
+        board.start()
+        stack.callback(board.close)
+        shedder = Shedder() if runtime.shed else None
+        depth = _depth(config, lambda reading: loop.on_depth(reading), shedder, depth_network_of)
         outlet = _outlet(config)
         if outlet is not None:
             stack.callback(outlet.close)
@@ -71,16 +96,30 @@ def serve(config: Config, base_dir: Path, log_line: Callable[[str], None]) -> in
         if config.alerts.command:
             command = AlertCommand(config.alerts.command, config.alerts.command_timeout_s)
             stack.callback(command.close)
+        recorder = make_recorder(config, log_config(config, base_dir))
+        log = BackgroundLog(recorder, keep_frames=recorder.keeps_frames) if recorder is not None else None
+        teller = Teller()
+
+        def see(frame: Frame) -> Sighting:
+            eyes.thin_searches(shedder.search_factor if shedder is not None else 1)
+            return eyes.see(frame)
+
         loop = LiveLoop(
-            build_camera(config, base_dir),
-            eyes.see,
+            camera or build_camera(config, base_dir),
+            see,
             estimation,
             notifier=Notifier(),
-            log=_drive_log(config, base_dir),
+            log=log,
             outlet=outlet,
             on_alert=command.take if command is not None else None,
             on_frame=depth.submit if depth is not None else None,
-            tick_hz=config.runtime.tick_hz,
+            on_result=(teller.take,),
+            more_faults=(lambda: depth.faults) if depth is not None else None,
+            board=lambda: board.state,
+            hot_c=runtime.hot_c,
+            shedder=shedder,
+            on_thread=lambda name: _prioritise(name, runtime.realtime_priority),
+            tick_hz=runtime.tick_hz,
         )
         if depth is not None:
             depth.start()
@@ -93,8 +132,27 @@ def serve(config: Config, base_dir: Path, log_line: Callable[[str], None]) -> in
             gps = NmeaPort(vehicle.gps_device, vehicle.gps_baud, loop.on_can, loop.crash)
             gps.start()
             stack.callback(gps.close)
-        loop.run(_bus(config, base_dir, loop))
+        if config.record.range_device and log is not None:
+            rangefinder = RangePort(config.record, log.reference)
+            rangefinder.start()
+            stack.callback(rangefinder.close)
+        bus = _bus(config, base_dir, loop)
+        reporter = Reporter(
+            config, loop, teller, board=lambda: board.state, depth=depth, recorder=recorder,
+            log_waiting=lambda: log.waiting if log is not None else 0,
+        )  # fmt: skip
+        reporter.bus = bus
+        server = StatusServer(status.socket_path(runtime.status_socket), reporter.answer)
+        if server.start():
+            stack.callback(server.close)
+        loop.run(bus)
     return 0
+
+
+def _prioritise(thread: str, priority: int) -> None:
+    """Capture and decisions come before everything else where that is configured."""
+    if priority and thread in ("capture", "decision") and (failed := raise_priority(priority)) is not None:
+        _log.warning("%s", failed)
 
 
 def _bus(config: Config, base_dir: Path, loop: LiveLoop) -> BusPort:
@@ -119,37 +177,17 @@ def _outlet(config: Config) -> Publisher | None:
         return None
 
 
-def _depth(config: Config, loop: Callable[[], LiveLoop]) -> ThreadedDepth | None:
+def _depth(
+    config: Config,
+    on_reading: Callable[[DepthReading], None],
+    shedder: Shedder | None,
+    network_of: Callable[[Config], Network],
+) -> DepthKeeper | None:
     """The depth network on its thread; without it the service runs on, and says once how to get it."""
     if config.depth.kind == "none":
         return None
     if config.depth.kind == "recorded":
         _log.warning('depth.kind = "recorded" is for the desk: depth is off')
         return None
-    try:
-        network = depth_network(config)
-    except ModelError as error:
-        _log.warning("depth is off: %s", error)
-        return None
-    return ThreadedDepth(
-        network,
-        rate_hz=config.depth.rate_hz,
-        clock_ns=time.monotonic_ns,
-        on_reading=lambda reading: loop().on_depth(reading),
-        on_failure=lambda error: _log.error("depth stopped: %s", error),
-    )
-
-
-def _drive_log(config: Config, base_dir: Path) -> BackgroundLog | None:
-    r = config.record
-    if not r.enabled:
-        return None
-    folder = Path(r.folder)
-    name = datetime.now(timezone.utc).strftime("%Y%m%dT%H%M%SZ")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        kept = log_config(config, base_dir)
-        writer = DriveLogWriter(folder / f"{name}.mcap", kept, jpeg=JpegSettings() if r.frames else None)
-    except OSError as error:
-        raise DeviceError(f"record.folder {folder}: cannot be written ({error.strerror or error}); choose another one") from None
-    return BackgroundLog(writer, keep_frames=r.frames)
+    factor = (lambda: shedder.depth_factor) if shedder is not None else (lambda: 1)
+    return DepthKeeper(lambda: network_of(config), rate_hz=config.depth.rate_hz, on_reading=on_reading, factor=factor)

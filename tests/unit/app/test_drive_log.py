@@ -8,14 +8,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
-from tmde_edge.app.drive_log import DriveLogReader, DriveLogWriter, JpegSettings, json_schema
+from tmde_edge.app.drive_log import DriveLogReader, DriveLogWriter, Part, json_schema
 from tmde_edge.app.replay import replay
 from tmde_edge.errors import InputDataError, InputMissingError
 from tmde_edge.messages import (
@@ -23,7 +22,6 @@ from tmde_edge.messages import (
     CanFrame,
     DepthReading,
     Event,
-    Frame,
     FrameResult,
     GlyphSighting,
     LeadEstimate,
@@ -31,6 +29,7 @@ from tmde_edge.messages import (
     PlateResult,
     PlateSighting,
     Pose,
+    RangeReference,
     Sighting,
     Tick,
 )
@@ -188,16 +187,27 @@ def test_a_damaged_middle_is_noticed(tmp_path: Path) -> None:
     assert reader.torn is not None
 
 
-def test_pictures_are_kept_only_when_asked_for(tmp_path: Path) -> None:
-    picture = np.tile(np.arange(64, dtype=np.uint8), (48, 1))
-    with DriveLogWriter(tmp_path / "d.mcap", {}, jpeg=JpegSettings(quality=95, every=2)) as log:
+def test_pictures_come_back_with_their_own_times(tmp_path: Path) -> None:
+    with DriveLogWriter(tmp_path / "d.mcap", {}) as log:
         for i in range(4):
-            log.write(sighting(i), (), Frame(t_ns=sighting(i).t_ns, index=i, image=picture))
-    images = list(DriveLogReader(tmp_path / "d.mcap").images())
-    assert [t for t, _ in images] == [0, 66_666_666]
-    decoded = cv2.imdecode(np.frombuffer(images[0][1], np.uint8), cv2.IMREAD_GRAYSCALE)
-    assert np.abs(decoded.astype(int) - picture).max() < 5
-    assert len(list(DriveLogReader(tmp_path / "d.mcap").entries())) == 4
+            log.write(sighting(i), ())
+        log.picture(sighting(1).t_ns, b"jpeg bytes")  # later than its sighting
+        log.reference(RangeReference(t_ns=5, distance_m=7.5, text="D=7.5m"))
+        log.write(sighting(4), ())
+    reader = DriveLogReader(tmp_path / "d.mcap")
+    assert list(reader.images()) == [(sighting(1).t_ns, b"jpeg bytes")]
+    assert list(reader.references()) == [RangeReference(t_ns=5, distance_m=7.5, text="D=7.5m")]
+    assert len(list(reader.entries())) == 5
+
+
+def test_a_log_says_which_part_of_which_drive_it_is(tmp_path: Path) -> None:
+    part = Part(drive=3, segment=2, begins="continued", wall_ns=10, monotonic_ns=4)
+    with DriveLogWriter(tmp_path / "d.mcap", {}, part=part):
+        pass
+    assert DriveLogReader(tmp_path / "d.mcap").part == part
+    with DriveLogWriter(tmp_path / "e.mcap", {}):
+        pass
+    assert DriveLogReader(tmp_path / "e.mcap").part == Part()
 
 
 @pytest.mark.parametrize("content", [b"", b"not an mcap file", b"\x89MCAP0\r\n"])
