@@ -11,7 +11,7 @@ import csv
 import json
 import shutil
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -65,7 +65,7 @@ def find_time(folder: Path, when: datetime) -> Found:
             drive = [p.path for p in segments(folder) if p.drive == segment.drive]
             best = part.wall_ns, Found(drive, wall_ns - part.wall_ns + part.monotonic_ns, when.isoformat())
     if best is None:
-        raise InputMissingError(f"{folder}: nothing was recorded at {when.isoformat()}; `tmde-edge incident --list` names what is")
+        raise InputMissingError(f"{folder}: nothing was recorded at {when.isoformat()}; see `tmde-edge incident --list`")
     return best[1]
 
 
@@ -150,9 +150,7 @@ def _between(readers: list[DriveLogReader], from_ns: int, to_ns: int) -> Iterato
 
 
 def _shifted(frame: CanFrame, origin_ns: int) -> CanFrame:
-    return CanFrame(
-        t_ns=frame.t_ns - origin_ns, can_id=frame.can_id, data=frame.data, extended=frame.extended, channel=frame.channel or "can0"
-    )
+    return replace(frame, t_ns=frame.t_ns - origin_ns, channel=frame.channel or "can0")
 
 
 def _write_truth(path: Path, times: list[int], references: list[RangeReference]) -> None:
