@@ -84,10 +84,11 @@ class AlertPolicy:
         if self._closing(now) and now.ttc_s is not None:
             warning_s, caution_s = s.warning_ttc_s, s.caution_ttc_s
             if now.standing:
-                warning_s, caution_s = min(warning_s, s.standing_ttc_s), min(caution_s, s.standing_ttc_s)
+                last_s = min(s.standing_ttc_s, self._last_moment_s(now))
+                warning_s, caution_s = min(warning_s, last_s), min(caution_s, last_s)
             if now.ttc_s <= warning_s * ease[2]:
                 return "warning", "ttc"
-            within = now.ttc_s <= (min(s.max_ttc_s, s.standing_ttc_s) if now.standing else s.max_ttc_s)
+            within = now.ttc_s <= (warning_s if now.standing else s.max_ttc_s)
             if (
                 within
                 and now.required_decel_mps2 is not None
@@ -121,6 +122,11 @@ class AlertPolicy:
             return now.ttc_sigma_s * max(self._s.confidence_sigma, 0.5) <= 0.5 * now.ttc_s
         sigma = now.closing_sigma_mps or 0.0
         return now.closing_mps - self._s.confidence_sigma * sigma >= self._s.min_closing_mps
+
+    def _last_moment_s(self, now: Situation) -> float:
+        """TTC at which a standing obstacle must be told of: reaction, then half of the time to brake to a stop."""
+        closing = now.closing_mps if now.closing_mps is not None else now.ego_speed_mps or 0.0
+        return self._s.standing_reaction_s + closing / (2.0 * self._s.standing_decel_mps2)
 
     def _held_back(self, now: Situation) -> bool:
         return self._s.suppress_on_turn_signal and now.turn_signal in ("left", "right")

@@ -27,7 +27,8 @@ def paint_tunnel(image: Image, view: View, down_m: float, portal_z_m: float, s_m
 
     portal: Array = view.project(np.array([[LEFT_M, top, portal_z_m], [RIGHT_M, down_m, portal_z_m]]))
     row = int(np.clip(np.ceil(portal[1, 1]), 0, image.shape[0]))
-    image[row:] = cv2.convertScaleAbs(image[row:], alpha=INSIDE_GAIN)
+    if row < image.shape[0]:  # else the road's dark part lies below the picture
+        image[row:] = cv2.convertScaleAbs(image[row:], alpha=INSIDE_GAIN)
     for x in (LEFT_M, RIGHT_M):
         flat([(x, down_m, near), (x, top, near), (x, top, portal_z_m), (x, down_m, portal_z_m)], _WALL)
         flat([(x, down_m, near), (x, down_m - 1.1, near), (x, down_m - 1.1, portal_z_m), (x, down_m, portal_z_m)], (64, 66, 68))

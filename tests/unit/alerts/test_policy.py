@@ -101,5 +101,6 @@ def test_required_deceleration() -> None:
 def test_what_never_moved_is_told_of_late() -> None:
     """A car that stands at the bend's outer kerb lies ahead until the bend begins."""
     assert run(AlertPolicy(S), 0, 1, ttc_s=2.7, required_decel_mps2=8.0, standing=True)[-1][0] == "none"
-    assert run(AlertPolicy(S), 0, 1, ttc_s=2.3, standing=True)[-1] == ("warning", "ttc")
+    assert run(AlertPolicy(S), 0, 1, ttc_s=2.3, closing_mps=20.0, standing=True)[-1] == ("warning", "ttc")
+    assert run(AlertPolicy(S), 0, 1, ttc_s=2.3, closing_mps=12.0, standing=True)[-1][0] == "none"
     assert run(AlertPolicy(S), 0, 1, ttc_s=2.7, standing=False)[-1] == ("warning", "ttc")
