@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -31,9 +32,10 @@ class GlyphSpec:
 class Mark:
     """Anything on a face that is no character: a band, a name, a seal, a hyphen, a line. Plate frame, mm.
 
-    kind "rect", "disc" (an ellipse filling the box), "text" (filling the box) or "line" (from the box's left/top to
-    left+width/top+height). stroke_mm > 0 draws rect and disc as an outline that lies inside the box, and sets the
-    width of lines and letters. colour2_bgr makes a vertical gradient. `above` marks are drawn over the characters.
+    kind "rect", "disc" (an ellipse filling the box), "poly" (points in 0..1 of the box), "text" (filling the box) or
+    "line" (from the box's left/top to left+width/top+height). stroke_mm > 0 draws rect and disc as an outline that lies
+    inside the box, and sets the width of lines and letters. colour2_bgr makes a vertical gradient. `above` marks are
+    drawn over the characters.
     """
 
     kind: str
@@ -48,6 +50,7 @@ class Mark:
     corner_radius_mm: float = 0.0
     opacity: float = 1.0
     above: bool = False
+    points: tuple[tuple[float, float], ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -208,10 +211,12 @@ def _draw_mark(canvas: _Canvas, mark: Mark, font: GlyphFont) -> None:
         _draw_disc(canvas, mark)
     elif mark.kind == "line":
         _draw_line(canvas, mark)
+    elif mark.kind == "poly":
+        _draw_poly(canvas, mark)
     elif mark.kind == "text":
         _draw_text(canvas, mark, font)
     else:
-        raise ValueError(f"mark kind {mark.kind!r}: use rect, disc, line or text")
+        raise ValueError(f"mark kind {mark.kind!r}: use rect, disc, line, poly or text")
 
 
 def _draw_disc(canvas: _Canvas, mark: Mark) -> None:
@@ -239,6 +244,21 @@ def _draw_line(canvas: _Canvas, mark: Mark) -> None:
     depth = half - np.sqrt((x - t * mark.width_mm) ** 2 + (y - t * mark.height_mm) ** 2)
     coverage = (np.clip(0.5 + depth * canvas.px_per_mm, 0.0, 1.0) * mark.opacity).astype(np.float32)
     canvas.blend(where, coverage, np.array(mark.colour_bgr, np.float32))
+
+
+def _draw_poly(canvas: _Canvas, mark: Mark) -> None:
+    where = canvas.window(mark.left_mm, mark.top_mm, mark.width_mm, mark.height_mm)
+    shape = (where[0].stop - where[0].start, where[1].stop - where[1].start)
+    if min(shape) <= 0:
+        return
+    size, ppm = np.array([mark.width_mm, mark.height_mm]), canvas.px_per_mm
+    corner = np.array([mark.left_mm - float(canvas.x_mm[where[1].start]), mark.top_mm - float(canvas.y_mm[where[0].start])])
+    at = (np.array(mark.points) * size + corner) * ppm
+    cover = np.zeros((shape[0] * 4, shape[1] * 4), np.uint8)  # finer, then averaged: fillPoly draws half a pixel too much
+    cv2.fillPoly(cover, [np.rint((at * 4 + 1.5) * 16).astype(np.int32)], 255, cv2.LINE_8, 4)
+    cover = np.asarray(cv2.resize(cover, (shape[1], shape[0]), interpolation=cv2.INTER_AREA), np.uint8)
+    colour = _gradient(canvas, where[0], mark.top_mm, mark.height_mm, mark.colour_bgr, mark.colour2_bgr)
+    canvas.blend(where, cover.astype(np.float32) / np.float32(255) * np.float32(mark.opacity), colour)
 
 
 def _draw_text(canvas: _Canvas, mark: Mark, font: GlyphFont) -> None:

@@ -32,18 +32,14 @@ SLOGANS = (
 )
 
 STATES = (
-    "MICHIGAN",
-    "TEXAS",
-    "OHIO",
-    "NEW YORK",
-    "FLORIDA",
-    "ALBERTA",
-    "QUEBEC",
-    "SONORA",
-    "UTAH",
-    "VIRGINIA",
-    "MAINE",
-)
+    "ALABAMA", "ALASKA", "ARIZONA", "ARKANSAS", "CALIFORNIA", "COLORADO", "CONNECTICUT", "DELAWARE", "FLORIDA",
+    "GEORGIA", "HAWAII", "IDAHO", "ILLINOIS", "INDIANA", "IOWA", "KANSAS", "KENTUCKY", "LOUISIANA", "MAINE",
+    "MARYLAND", "MASSACHUSETTS", "MICHIGAN", "MINNESOTA", "MISSISSIPPI", "MISSOURI", "MONTANA", "NEBRASKA",
+    "NEVADA", "NEW HAMPSHIRE", "NEW JERSEY", "NEW MEXICO", "NEW YORK", "NORTH CAROLINA", "NORTH DAKOTA", "OHIO",
+    "OKLAHOMA", "OREGON", "PENNSYLVANIA", "RHODE ISLAND", "SOUTH CAROLINA", "SOUTH DAKOTA", "TENNESSEE", "TEXAS",
+    "UTAH", "VERMONT", "VIRGINIA", "WASHINGTON", "WEST VIRGINIA", "WISCONSIN", "WYOMING", "ALBERTA", "QUEBEC",
+    "ONTARIO", "SONORA", "JALISCO",
+)  # fmt: skip
 
 
 @dataclass(slots=True)
@@ -76,6 +72,7 @@ class Face:
         radius: float = 0.0,
         opacity: float = 1.0,
         above: bool = False,
+        points: tuple[tuple[float, float], ...] = (),
     ) -> None:
         """Add a mark; mm, plate frame."""
         self.marks.append(
@@ -92,6 +89,7 @@ class Face:
                 corner_radius_mm=radius,
                 opacity=opacity,
                 above=above,
+                points=points,
             )
         )
 
@@ -111,7 +109,9 @@ class Face:
         )
 
 
-_SEPARATOR_MM = {"bar": 15.0, "dot": 11.0, "seal": 34.0, "emblem": 30.0, "tab": 30.0, "shape": 26.0}
+_SEPARATOR_MM = {
+    "bar": 15.0, "dot": 11.0, "seal": 34.0, "emblem": 30.0, "tab": 30.0, "shape": 26.0, "shield": 32.0, "picture": 30.0,
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -239,6 +239,12 @@ def _separator(rng: np.random.Generator, face: Face, kind: str, x: float, width:
         sticker(rng, face, x + width * 0.08, middle - h / 2 + size.height * uniform(rng, -0.08, 0.08), width * 0.84, h)
     elif kind == "shape":  # the outline of a state, a star, a cross: an irregular blob in ink
         blob(rng, face, x + width / 2, middle, width * uniform(rng, 0.5, 1.0), size.height * uniform(rng, 0.25, 0.6))
+    elif kind == "shield":
+        h = min(size.height * uniform(rng, 0.4, 0.75), width * 1.35)
+        shield(rng, face, x + width * 0.08, middle - h / 2 + size.height * uniform(rng, -0.1, 0.1), width * 0.84, h)
+    elif kind == "picture":  # a fruit, a mountain, a bird: it may lie under the neighbouring characters
+        wide, tall = max(width, 18.0) * uniform(rng, 0.9, 2.0), size.height * uniform(rng, 0.6, 1.3)
+        picture(rng, face, x + width / 2 - wide / 2, middle - tall / 2, wide, tall)
     elif kind == "emblem":
         colour = near(rng, face.ink_bgr, 60)
         for _ in range(int(rng.integers(1, 4))):
@@ -293,24 +299,49 @@ def pick_colour(rng: np.random.Generator) -> Colour:
 def crest(rng: np.random.Generator, face: Face, code: str, size: Type) -> float:
     """A shield with the country's letters below it at the left, without a band; where the characters may begin (mm)."""
     left = -face.width_mm / 2 + uniform(rng, 8, 16)
-    wide = uniform(rng, 26, 38)
-    top = -size.height / 2 + uniform(rng, -4, 4)
-    shield_h = size.height * uniform(rng, 0.4, 0.6)
-    face.mark("rect", left, top, wide, shield_h, near(rng, pick_colour(rng), 40))
-    for _ in range(int(rng.integers(1, 4))):
-        w, h = wide * uniform(rng, 0.3, 0.8), shield_h * uniform(rng, 0.2, 0.7)
-        face.mark(
-            "disc" if chance(rng, 0.5) else "rect",
-            left + uniform(rng, 0, 1) * (wide - w),
-            top + uniform(rng, 0, 1) * (shield_h - h),
-            w,
-            h,
-            near(rng, pick_colour(rng), 50),
-        )
+    wide = uniform(rng, 24, 38)
+    top = -size.height / 2 + uniform(rng, -4, 6)
+    shield_h = min(size.height * uniform(rng, 0.4, 0.62), 1.4 * wide)
+    shield(rng, face, left, top, wide, shield_h)
     letters_h = size.height * uniform(rng, 0.25, 0.36)
     stroke = letters_h * uniform(rng, 0.12, 0.2)
     face.mark("text", left, size.height / 2 - letters_h, wide, letters_h, face.ink_bgr, text=code, stroke=stroke)
     return left + wide
+
+
+def shield(rng: np.random.Generator, face: Face, left: float, top: float, width: float, height: float) -> None:
+    """A coat of arms: flat above, pointed or round below, one or more figures or fields in it."""
+    rim = near(rng, pick_colour(rng), 40)
+    inner = near(rng, pick_colour(rng), 40)
+    waist = uniform(rng, 0.45, 0.75)
+    outline = ((0.0, 0.0), (1.0, 0.0), (1.0, waist), (0.85, 0.5 + waist / 2), (0.5, 1.0), (0.15, 0.5 + waist / 2), (0.0, waist))
+    face.mark("poly", left, top, width, height, rim, points=outline)
+    edge = uniform(rng, 0.04, 0.14)
+    w, h = width * (1 - 2 * edge), height * (1 - 2 * edge)
+    face.mark("poly", left + width * edge, top + height * edge, w, h, inner, points=outline)
+    for _ in range(int(rng.integers(0, 3))):
+        kind = "disc" if chance(rng, 0.4) else "rect"
+        fw, fh = w * uniform(rng, 0.2, 0.7), h * uniform(rng, 0.1, 0.45)
+        x = left + width / 2 - fw / 2 + uniform(rng, -0.1, 0.1) * w
+        face.mark(kind, x, top + uniform(rng, 0.1, 0.55) * h, fw, fh, near(rng, pick_colour(rng), 50))
+
+
+def picture(rng: np.random.Generator, face: Face, left: float, top: float, width: float, height: float) -> None:
+    """A printed picture: jagged polygons and discs of some colours that are never quite the ink's."""
+    for _ in range(int(rng.integers(1, 5))):
+        level = uniform(rng, 0.25, 0.85)
+        tone = near(rng, pick_colour(rng) if chance(rng, 0.6) else face.ink_bgr, 50)
+        b, g, r = (level * p + (1 - level) * q for p, q in zip(face.background_bgr, tone, strict=True))
+        w, h = width * uniform(rng, 0.3, 1.0), height * uniform(rng, 0.3, 1.0)
+        x, y = left + uniform(rng, 0, 1) * (width - w), top + uniform(rng, 0, 1) * (height - h)
+        if chance(rng, 0.3):
+            face.mark("disc", x, y, w, h, (b, g, r))
+            continue
+        n = int(rng.integers(4, 12))
+        angles = np.sort(rng.uniform(0, 2 * np.pi, n))
+        reach = rng.uniform(0.15 if chance(rng, 0.4) else 0.3, 0.5, n)
+        points = tuple((0.5 + float(q * np.cos(a)), 0.5 + float(q * np.sin(a))) for a, q in zip(angles, reach, strict=True))
+        face.mark("poly", x, y, w, h, (b, g, r), points=points)
 
 
 def blob(rng: np.random.Generator, face: Face, x: float, y: float, width: float, height: float) -> None:

@@ -18,6 +18,7 @@ from tmde_edge.simulation.plate_parts import (
     near,
     pale,
     pick,
+    picture,
     random_text,
     row_of,
     sticker,
@@ -53,13 +54,14 @@ def style_us(rng: np.random.Generator) -> Face:
     else:
         name_colour = near(rng, dark(rng), 30)
     name = pick(rng, STATES)
-    name_h = uniform(rng, 12, 22)
+    name_h = uniform(rng, 12, 22) if chance(rng, 0.7) else uniform(rng, 20, 30)
+    top_mm = -h / 2 + uniform(rng, 3, 10)
     if chance(rng, 0.92):
         wide = min(len(name) * name_h * uniform(rng, 0.65, 1.1), 0.75 * w)
         face.mark(
             "text",
             -wide / 2,
-            -h / 2 + uniform(rng, 6, 10),
+            top_mm,
             wide,
             name_h,
             name_colour,
@@ -81,7 +83,7 @@ def style_us(rng: np.random.Generator) -> Face:
         )
     for side_x in (-1, 1):
         for side_y in (-1, 1):
-            if chance(rng, 0.2):
+            if chance(rng, 0.3):
                 sticker(rng, face, side_x * 130 - 16, side_y * 60 - 10 + uniform(rng, -3, 3), 32, 20)
     height = uniform(rng, 60, 76)
     size = Type(
@@ -131,6 +133,14 @@ def style_us(rng: np.random.Generator) -> Face:
             row_of(rng, face, random_text(rng, "L"), small, left=left, right=left + 24, top=top + k * height * 0.55, row=k)
         left += 32
         pattern = pattern[:6]
+    if chance(rng, 0.5):
+        pattern = pattern.replace(" ", "-")
+    if chance(rng, 0.12):  # a cactus, a tower, a bird beside the characters
+        wide = uniform(rng, 16, 34)
+        on_left = chance(rng, 0.6)
+        x = left - 4 if on_left else right + 4 - wide
+        picture(rng, face, x, top + uniform(rng, -0.1, 0.5) * height, wide, height * uniform(rng, 0.5, 1.1))
+        left, right = (left + wide - 2, right) if on_left else (left, right - wide + 2)
     row_of(
         rng,
         face,
@@ -139,7 +149,7 @@ def style_us(rng: np.random.Generator) -> Face:
         left=left,
         right=right,
         top=top,
-        hyphen=pick(rng, ("bar", "dot", "emblem", "tab", "tab", "tab", "shape", "shape", "none")),
+        hyphen=pick(rng, ("bar", "dot", "emblem", "tab", "tab", "tab", "shape", "picture", "picture", "none")),
     )
     if chance(rng, 0.5):
         face.border_mm, face.border_inset_mm = uniform(rng, 1, 3), uniform(rng, 0, 4)

@@ -30,14 +30,14 @@ _EU = {  # pattern options, separator, country letters, share of yellow, second 
     "RO": (("L DDD LLL", "LL DD LLL", "L DD LLL"), "none", "RO", 0.0, False),
     "CZ": (("DLD-DDDD", "DLD DDDD"), "seal", "CZ", 0.0, False),
     "E": (("DDDD LLL",), "none", "E", 0.0, False),
-    "A": (("L-DDDDDL", "LL-DDD LL", "L-DDDD L"), "emblem", "A", 0.0, False),
+    "A": (("L-DDDDDL", "LL-DDD LL", "L-DDDD L"), "shield", "A", 0.0, False),
     "B": (("D-LLL-DDD",), "bar", "B", 0.0, False),
     "H": (("LLL-DDD", "LL-LL DDD"), "bar", "H", 0.0, False),
     "S": (("LLL DDD", "LLL DDL"), "none", "S", 0.0, False),
     "FIN": (("LLL-DDD",), "bar", "FIN", 0.0, False),
     "P": (("LL-DD-LL", "DD-LL-DD"), "bar", "P", 0.0, True),
     "BG": (("LL DDDD LL", "L DDDD LL"), "none", "BG", 0.0, False),
-    "SK": (("LL-DDDLL",), "seal", "SK", 0.0, False),
+    "SK": (("LL-DDDLL",), "shield", "SK", 0.0, False),
     "UA": (("LL DDDD LL",), "none", "UA", 0.0, False),
     "GR": (("LLL-DDDD",), "bar", "GR", 0.0, False),
     "LT": (("LLL DDD", "LLL-DDD"), "emblem", "LT", 0.0, False),
@@ -70,15 +70,15 @@ def _eu_face(rng: np.random.Generator, width: float, height: float, yellow: floa
 
 def style_eu1(rng: np.random.Generator) -> Face:
     patterns, hyphen, code, yellow, second = _EU[pick(rng, list(_EU))]
-    if chance(rng, 0.12):
-        hyphen = pick(rng, ("none", "bar", "dot", "emblem", "seal", "tab"))
+    if chance(rng, 0.2):
+        hyphen = pick(rng, ("none", "bar", "dot", "emblem", "seal", "tab", "shield", "shield"))
     face = _eu_face(rng, 520 if chance(rng, 0.8) else uniform(rng, 440, 525), uniform(rng, 108, 114), max(yellow, 0.05))
     left, right = bands(rng, face, code, right=second and chance(rng, 0.9))
     if chance(rng, 0.06):  # no band at all: older plates
         face.marks.clear()
         left, right = -face.width_mm / 2, face.width_mm / 2
     size = _eu_type(rng)
-    if chance(rng, 0.14):
+    if chance(rng, 0.25):
         face.marks.clear()
         left, right = crest(rng, face, code, size), face.width_mm / 2
     row_of(

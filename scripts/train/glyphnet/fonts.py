@@ -38,6 +38,13 @@ def font_files(held_out: bool) -> list[Path]:
     return out
 
 
+def sign_fonts() -> list[Path]:
+    """Any installed Latin font file, for lettering on signs: serifs, italics and fat ones too."""
+    files = [f for f in sorted(Path("/usr/share/fonts").rglob("*")) if f.suffix.lower() in {".ttf", ".otf"}]
+    refused = "symbol|dingbat|emoji|icon|math|braille|standardsym|d050|nanum|wqy|ipa|noto/NotoSans[A-Z]|noto/NotoSerif[A-Z]|thin|hairline"
+    return [f for f in files if not re.search(refused, str(f), re.I)]
+
+
 @lru_cache(maxsize=60000)
 def _file_mask(file: str, char: str) -> NDArray[np.uint8] | None:
     font = _open(file)

@@ -36,16 +36,34 @@ class Sample:
     canvas_from_source: NDArray[np.float32] = field(default_factory=lambda: np.zeros((2, 3), np.float32))
 
 
+@dataclass
+class Frame:
+    """An in-car frame: boxes (n, 4) x, y, w, h of plates; unsure: boxes of what may be one."""
+
+    image: Image8
+    boxes: NDArray[np.float64]
+    unsure: NDArray[np.float64]
+
+
 class World:
     """What samples are made of: photos, in-car frames with boxes, fonts."""
 
-    def __init__(self, photos: list[Image8], frames: list[tuple[Image8, NDArray[np.float64]]], fonts: list[Path]) -> None:
+    def __init__(
+        self, photos: list[Image8], frames: list[Frame], fonts: list[Path], facades: list[Image8], sign_fonts: list[Path],
+        tempting: list[tuple[str, int, NDArray[np.float64]]],
+    ) -> None:
+        """facades: pictures of walls and boards without vehicles. tempting: (pool, number, corners) that PlateNet takes for plates and are none."""
         self.photos, self.frames, self.fonts = photos, frames, fonts
+        self.facades, self.sign_fonts, self.tempting = facades, sign_fonts, tempting
+
+    def picture(self, pool: str, index: int) -> Image8:
+        """One picture of a pool: photos, frames or facades."""
+        return self.frames[index].image if pool == "frames" else getattr(self, pool)[index]
 
     def patch(self, rng: Rng, h: int, w: int) -> ImageF:
         """A patch of a photo, of a frame (no plate in its middle is promised), or a drawn texture; BGR float."""
         if rng.random() < 0.45 and (self.photos or self.frames):
-            pool = self.photos if (rng.random() < 0.5 or not self.frames) and self.photos else [f for f, _ in self.frames]
+            pool = self.photos if (rng.random() < 0.5 or not self.frames) and self.photos else [f.image for f in self.frames]
             image = pool[int(rng.integers(len(pool)))]
             scale = np.exp(rng.uniform(np.log(0.4), np.log(2.5)))
             ph, pw = min(max(2, int(h * scale)), image.shape[0]), min(max(2, int(w * scale)), image.shape[1])
@@ -119,9 +137,38 @@ _WORDS = ("AUTOHAUS", "TOYOTA", "HONDA", "SUBARU", "FORD", "SERVICE", "DIESEL", 
           "Farmacia", "Restaurant", "Kfz", "Shop", "BAR", "PUB", "TESCO", "LIDL", "Express", "PARKING", "BUS", "50", "30", "km", "LOANS", "CASH")
 
 
+_HEADS = ("B", "C", "D", "F", "G", "H", "L", "M", "N", "P", "R", "S", "T", "V", "W", "BR", "CH", "ST", "TR", "SH", "FL", "PL", "GR", "")
+_CORES = ("A", "E", "I", "O", "U", "AI", "EE", "OO", "IA", "OU")
+_TAILS = ("", "", "N", "R", "S", "T", "L", "ND", "NG", "CK", "M", "RT", "NT")
+
+
+def invented_word(rng: Rng) -> str:
+    """A word of one to four syllables in capitals, capitalised or small."""
+    text = "".join(str(rng.choice(_HEADS)) + str(rng.choice(_CORES)) + str(rng.choice(_TAILS)) for _ in range(int(rng.integers(1, 5))))
+    k = rng.random()
+    return text if k < 0.6 else text.title() if k < 0.85 else text.lower()
+
+
+def number_words(rng: Rng) -> str:
+    """House, phone, price, year, time, registration-like numbers that stand on no plate."""
+    k, digits = int(rng.integers(7)), [str(int(d)) for d in rng.integers(0, 10, 11)]
+    if k == 0:
+        return "".join(digits[:3]) + "-" + "".join(digits[3:6]) + "-" + "".join(digits[6:10])
+    if k == 1:
+        return "1-800-" + "".join(digits[:3]) + "-" + "".join(digits[3:7])
+    if k == 2:
+        return "".join(digits[: int(rng.integers(1, 6))])
+    if k == 3:
+        return digits[0] + "." + digits[1] + digits[2]
+    if k == 4:
+        return "".join(digits[:2]) + ":" + "".join(digits[2:4])
+    letters = "".join(chr(65 + int(v)) for v in rng.integers(0, 26, 3))
+    return letters[: int(rng.integers(1, 4))] + "".join(digits[: int(rng.integers(2, 5))]) + (letters[:2] if k == 6 else "")
+
+
 def words(rng: Rng, count: int) -> str:
     """Some words that are no registration."""
-    return " ".join(str(rng.choice(_WORDS)) for _ in range(count))
+    return " ".join(str(rng.choice(_WORDS)) if rng.random() < 0.3 else number_words(rng) if rng.random() < 0.15 else invented_word(rng) for _ in range(count))
 
 
 def pose(rng: Rng, spec: FaceSpec, width_px: float) -> NDArray[np.float64]:
@@ -178,7 +225,7 @@ def weather(rng: Rng, face: ImageF) -> ImageF:
 
 def scenic(rng: Rng, world: World, spec: FaceSpec, ppm: float, font: MaskFont, face: ImageF) -> ImageF:
     """A printed picture behind the characters, as on many American plates."""
-    pool = world.photos or [f for f, _ in world.frames]
+    pool = world.photos or [f.image for f in world.frames]
     image = pool[int(rng.integers(len(pool)))]
     h, w = face.shape[:2]
     scale = rng.uniform(0.3, 1.0)
@@ -222,8 +269,9 @@ def surroundings(rng: Rng, image: ImageF, quad: NDArray[np.float64], font: MaskF
         poly(-1.01, -0.98, 1.01, 1.0 + rng.uniform(0.04, 0.2), base * 0.4)
 
 
-def holder(rng: Rng, image: ImageF, quad: NDArray[np.float64], font: MaskFont, width_mm: float, height_mm: float) -> None:
+def holder(rng: Rng, image: ImageF, quad: NDArray[np.float64], font: MaskFont, spec: FaceSpec) -> None:
     """A dealer's frame round the plate, covering a little of it; drawn after the plate."""
+    width_mm, height_mm = spec.width_mm, spec.height_mm
     h = cv2.getPerspectiveTransform(
         np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], np.float32) * np.array([width_mm / 2, height_mm / 2], np.float32), quad.astype(np.float32))
     out = [rng.uniform(2, 22) for _ in range(2)] + [rng.uniform(2, 26), rng.uniform(2, 30)]  # left right top bottom
@@ -231,6 +279,12 @@ def holder(rng: Rng, image: ImageF, quad: NDArray[np.float64], font: MaskFont, w
     if rng.random() < 0.5:
         out[1], out[2], out[3], over[1], over[2], over[3] = out[0], out[0], out[0], over[0], over[0], over[0]
     W, H = width_mm / 2, height_mm / 2
+    if rng.random() < 0.35:  # wide ones hide names and stickers, never the characters
+        free = (min(g.top_mm for g in spec.glyphs) + H, H - max(g.top_mm + g.height_mm for g in spec.glyphs))
+        for k, room in enumerate(free, start=2):
+            if rng.random() < 0.7 and room > 8:
+                over[k] = rng.uniform(2, min(room - 2, 26))
+                out[k] = rng.uniform(4, 26)
     outer = np.array([[-W - out[0], -H - out[2]], [W + out[1], -H - out[2]], [W + out[1], H + out[3]], [-W - out[0], H + out[3]]])
     inner = np.array([[-W + over[0], -H + over[2]], [W - over[1], -H + over[2]], [W - over[1], H - over[3]], [-W + over[0], H - over[3]]])
     col = np.full(3, rng.choice([12, 25, 50, 120, 190, 230]), np.float32) + rng.normal(0, 6, 3).astype(np.float32)
@@ -306,6 +360,8 @@ def wrong_corners(rng: Rng, quad: NDArray[np.float64]) -> NDArray[np.float64]:
     axis = v / height
     along = (out - centre) @ axis
     out = out + np.outer(along * (stretch - 1), axis)
+    if rng.random() < 0.06:  # a finder's worse moments
+        out = centre + (out - centre) * rng.uniform(0.85, 1.4)
     if rng.random() < 0.12:
         (x0, y0), (x1, y1) = out.min(axis=0), out.max(axis=0)
         out = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
@@ -319,8 +375,8 @@ def plate_width(rng: Rng) -> float:
     return float(np.exp(rng.uniform(np.log(20), np.log(420))))
 
 
-def view(rng: Rng, world: World, spec: FaceSpec, font: MaskFont, width_px: float) -> tuple[Image8, NDArray[np.float64], NDArray[np.float64]]:
-    """Grey source crop round a posed plate; its corners (4, 2); the homography source px from mm."""
+def view(rng: Rng, world: World, spec: FaceSpec, font: MaskFont, width_px: float, shots: int) -> tuple[list[Image8], NDArray[np.float64], NDArray[np.float64]]:
+    """Grey source crops round a posed plate, each by another camera; its corners (4, 2); the homography source px from mm."""
     h_mm = pose(rng, spec, width_px)
     half = np.array([spec.width_mm / 2, spec.height_mm / 2])
     corners_mm = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half
@@ -347,15 +403,15 @@ def view(rng: Rng, world: World, spec: FaceSpec, font: MaskFont, width_px: float
     mm_from_face = np.array([[1 / ppm, 0, -spec.width_mm / 2 + 0.5 / ppm], [0, 1 / ppm, -spec.height_mm / 2 + 0.5 / ppm], [0, 0, 1]])
     warped = cv2.warpPerspective(face4, up @ h_mm @ mm_from_face, (big.shape[1], big.shape[0]), flags=cv2.INTER_LINEAR)
     big = big * (1 - warped[..., 3:] / 255) + warped[..., :3]
-    if rng.random() < 0.3:
-        holder(rng, big, project(up, quad), font, spec.width_mm, spec.height_mm)
+    if rng.random() < 0.35:
+        holder(rng, big, project(up, quad), font, spec)
     if rng.random() < 0.03:  # a tow ball, a hand, a cable in front
         c = project(up, quad.mean(axis=0) + rng.normal(0, 0.3, 2) * (high - low))
         cv2.circle(big, (int(c[0]), int(c[1])), max(2, int(rng.uniform(0.03, 0.1) * width_px * ss)), colour(rng).tolist(), -1, cv2.LINE_AA)
-    return camera(rng, big, ss), quad, h_mm
+    return [camera(rng, big, ss) for _ in range(shots)], quad, h_mm
 
 
-def _sample(grey: Image8, corners: NDArray[np.float64], kind: str, plate: int) -> Sample | None:
+def make_sample(grey: Image8, corners: NDArray[np.float64], kind: str, plate: int) -> Sample | None:
     try:
         m = canvas_from_source(corners)
     except ValueError:
@@ -366,38 +422,41 @@ def _sample(grey: Image8, corners: NDArray[np.float64], kind: str, plate: int) -
     return s
 
 
-def plate_sample(rng: Rng, world: World, spec: FaceSpec | None = None, width_px: float | None = None, style: str | None = None,
-                 part: bool = False) -> Sample | None:
-    """A plate; with part=True a cut that holds only a part of it, or far too much round it: not a plate candidate to keep."""
+def plate_samples(rng: Rng, world: World, shots: int = 2, spec: FaceSpec | None = None, width_px: float | None = None, style: str | None = None) -> list[Sample]:
+    """A plate seen by some cameras; now and then a cut that holds only a part of it, or far too much round it: not a plate candidate to keep."""
     spec = spec or random_spec(rng, style)
     width_px = width_px or plate_width(rng)
     font = random_font(rng, world.fonts)
-    grey, quad, h_mm = view(rng, world, spec, font, width_px)
-    corners = wrong_corners(rng, quad)
-    if part:
-        corners = _misplaced(rng, quad)
-        return _sample(grey, corners, "part", 0)
-    s = _sample(grey, corners, "plate", 1)
-    if s is None:
-        return None
-    m = canvas_from_source(corners)
-    s.corners = apply_affine(m, quad).astype(np.float32)
-    counted = [g for g in spec.glyphs if g.counted][:MAX_GLYPHS]
-    tallest = max(g.height_mm for g in counted)
-    rows = []
-    for g in counted:
-        x0, x1, y0, y1 = g.left_mm, g.left_mm + g.width_mm, g.top_mm, g.top_mm + g.height_mm
-        xm, ym = (x0 + x1) / 2, (y0 + y1) / 2
-        p = apply_affine(m, project(h_mm, np.array([[xm, ym], [x0, ym], [x1, ym], [xm, y0], [xm, y1]])))
-        rows.append([p[0, 0], p[0, 1], p[1, 0], p[2, 0], p[3, 1], p[4, 1]])
-    s.glyphs = np.array(rows, np.float32)
-    s.small = np.array([g.height_mm < 0.87 * tallest for g in counted], np.uint8)
-    s.light_on_dark = int(np.mean(spec.ink_bgr) > np.mean(spec.background_bgr))
-    s.plate_w_px = float(np.hypot(*(quad[1] - quad[0])) + np.hypot(*(quad[2] - quad[3]))) / 2
-    return s
+    greys, quad, h_mm = view(rng, world, spec, font, width_px, shots)
+    out = []
+    for grey in greys:
+        if rng.random() < 0.07:
+            s = make_sample(grey, misplaced(rng, quad), "part", 0)
+            out += [s] if s is not None else []
+            continue
+        corners = wrong_corners(rng, quad)
+        s = make_sample(grey, corners, "plate", 1)
+        if s is None:
+            continue
+        m = canvas_from_source(corners)
+        s.corners = apply_affine(m, quad).astype(np.float32)
+        counted = [g for g in spec.glyphs if g.counted][:MAX_GLYPHS]
+        tallest = max(g.height_mm for g in counted)
+        rows = []
+        for g in counted:
+            x0, x1, y0, y1 = g.left_mm, g.left_mm + g.width_mm, g.top_mm, g.top_mm + g.height_mm
+            xm, ym = (x0 + x1) / 2, (y0 + y1) / 2
+            p = apply_affine(m, project(h_mm, np.array([[xm, ym], [x0, ym], [x1, ym], [xm, y0], [xm, y1]])))
+            rows.append([p[0, 0], p[0, 1], p[1, 0], p[2, 0], p[3, 1], p[4, 1]])
+        s.glyphs = np.array(rows, np.float32)
+        s.small = np.array([g.height_mm < 0.87 * tallest for g in counted], np.uint8)
+        s.light_on_dark = int(np.mean(spec.ink_bgr) > np.mean(spec.background_bgr))
+        s.plate_w_px = float(np.hypot(*(quad[1] - quad[0])) + np.hypot(*(quad[2] - quad[3]))) / 2
+        out.append(s)
+    return out
 
 
-def _misplaced(rng: Rng, quad: NDArray[np.float64]) -> NDArray[np.float64]:
+def misplaced(rng: Rng, quad: NDArray[np.float64]) -> NDArray[np.float64]:
     """Corners that overlap the plate by well under half."""
     centre = quad.mean(axis=0)
     u, v = (quad[1] + quad[2] - quad[0] - quad[3]) / 2, (quad[2] + quad[3] - quad[0] - quad[1]) / 2
@@ -412,164 +471,3 @@ def _misplaced(rng: Rng, quad: NDArray[np.float64]) -> NDArray[np.float64]:
         return centre + (quad - centre) * rng.uniform(1.8, 3.0) + u * rng.uniform(-0.3, 0.3) + v * rng.uniform(-0.3, 0.3)
     return centre + np.array([a * u * s + b * v * t for (a, b), s, t in zip(((-1, -1), (1, -1), (1, 1), (-1, 1)), [rng.uniform(0.15, 0.25)] * 4,
                                                                             [rng.uniform(0.4, 0.6)] * 4, strict=True)])
-
-
-def random_quad(rng: Rng, image: Image8) -> NDArray[np.float64]:
-    """A plate-shaped quad anywhere in a picture."""
-    h, w = image.shape[:2]
-    width = float(np.exp(rng.uniform(np.log(18), np.log(min(350, w * 0.5)))))
-    height = width / rng.uniform(1.4, 5.5)
-    c = rng.uniform((width / 2, height / 2), (max(w - width / 2, width / 2 + 1), max(h - height / 2, height / 2 + 1)))
-    angle = rng.normal(0, 0.08)
-    u, v = np.array([np.cos(angle), np.sin(angle)]) * width / 2, np.array([-np.sin(angle), np.cos(angle)]) * height / 2
-    return np.array([c - u - v, c + u - v, c + u + v, c - u + v]) + rng.normal(0, 0.02 * width, (4, 2))
-
-
-def photo_negative(rng: Rng, world: World) -> Sample | None:
-    """A cut of a photo or in-car frame away from any labelled plate; busy places are preferred."""
-    use_frame = bool(world.frames) and (rng.random() < 0.65 or not world.photos)
-    boxes = np.zeros((0, 4))
-    if use_frame:
-        image, boxes = world.frames[int(rng.integers(len(world.frames)))]
-    elif world.photos:
-        image = world.photos[int(rng.integers(len(world.photos)))]
-    else:
-        return None
-    grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-    best, best_score = None, -1.0
-    for _ in range(int(rng.integers(1, 7))):
-        quad = random_quad(rng, image)
-        (x0, y0), (x1, y1) = quad.min(axis=0), quad.max(axis=0)
-        if any(x0 < b[0] + b[2] and b[0] < x1 and y0 < b[1] + b[3] and b[1] < y1 for b in boxes):
-            continue
-        part = grey[max(0, int(y0)) : int(y1) + 1, max(0, int(x0)) : int(x1) + 1]
-        score = float(part.std()) if part.size else 0.0
-        if score > best_score:
-            best, best_score = quad, score
-    return None if best is None else _sample(grey, best, "photo", 0)
-
-
-def drawn_negative(rng: Rng, world: World) -> Sample | None:
-    """Lettering, signs, grilles, lamps, wheels, empty holders, tables: drawn, then seen by the camera."""
-    width = plate_width(rng)
-    ss = 3 if width < 90 else 2 if width < 220 else 1
-    aspect = rng.uniform(1.4, 5.5)
-    w, h = width * ss, width * ss / aspect
-    W, H = int(w * 1.9) + 8, int(h + w * 0.7) + 8
-    image = np.ascontiguousarray(world.patch(rng, H, W))
-    font = random_font(rng, world.fonts)
-    x, y = (W - w) / 2, (H - h) / 2
-    ink, ground = colour(rng), colour(rng)
-    if abs(float(ink.mean() - ground.mean())) < 50:
-        ink = 255 - ground if rng.random() < 0.7 else ink
-    kind = int(rng.integers(0, 12))
-
-    def rect(x0: float, y0: float, x1: float, y1: float, col: NDArray[np.float32], fill: int = -1) -> None:
-        cv2.rectangle(image, (round(x0), round(y0)), (round(x1), round(y1)), np.clip(col, 0, 255).tolist(), fill, cv2.LINE_AA)
-
-    if kind <= 3:  # a board or bare lettering with words
-        if kind != 0:
-            rect(x, y, x + w, y + h, ground)
-            if rng.random() < 0.5:
-                e = 0.03 * h
-                rect(x + e, y + e, x + w - e, y + h - e, ink, max(1, int(0.03 * h)))
-        lines = int(rng.integers(1, 4)) if aspect < 3 else 1 + int(rng.random() < 0.2)
-        for k in range(lines):
-            text = words(rng, int(rng.integers(1, 4 if lines > 1 else 3)))[: int(rng.integers(3, 22))]
-            lh = h * rng.uniform(0.4, 0.8) / lines
-            lw = min(w * 0.92, lh * len(text) * rng.uniform(0.5, 0.9))
-            put_text(rng, image, text, font, (x + (w - lw) * rng.uniform(0.2, 0.8), y + h * (k + 0.5) / lines - lh / 2, lw, lh), ink, rng.uniform(0.7, 0.95))
-    elif kind == 4:  # grille, vent, shutters
-        rect(x, y, x + w, y + h, ground)
-        n = int(rng.integers(3, 24))
-        for k in range(n):
-            if rng.random() < 0.97 and aspect > 0:
-                if kind == 4 and n % 2:
-                    rect(x, y + h * k / n, x + w, y + h * (k + rng.uniform(0.3, 0.6)) / n, ink)
-                else:
-                    rect(x + w * k / n, y + 0.1 * h, x + w * (k + rng.uniform(0.3, 0.6)) / n, y + 0.9 * h, ink)
-    elif kind == 5:  # lamp
-        red = np.array([rng.uniform(10, 90), rng.uniform(10, 90), rng.uniform(120, 255)], np.float32) if rng.random() < 0.7 else colour(rng)
-        rect(x, y, x + w, y + h, red)
-        for _ in range(int(rng.integers(1, 6))):
-            a, b = sorted(rng.uniform(0, 1, 2))
-            rect(x + a * w, y + h * rng.uniform(0, 0.4), x + b * w, y + h * rng.uniform(0.5, 1), np.clip(red * rng.uniform(0.4, 2.5), 0, 255))
-    elif kind == 6:  # wheel, badge, round sign
-        c = (round(x + w / 2), round(y + h / 2))
-        r = round(rng.uniform(0.4, 0.9) * h)
-        cv2.circle(image, c, r, ground.tolist(), -1, cv2.LINE_AA)
-        cv2.circle(image, c, round(r * rng.uniform(0.6, 0.9)), ink.tolist(), max(1, round(r * rng.uniform(0.05, 0.3))), cv2.LINE_AA)
-        for k in range(int(rng.integers(0, 10))):
-            a = k * 2 * np.pi / 9
-            cv2.line(image, c, (round(c[0] + r * 0.8 * np.cos(a)), round(c[1] + r * 0.8 * np.sin(a))), ink.tolist(), max(1, r // 8), cv2.LINE_AA)
-        if rng.random() < 0.5:
-            put_text(rng, image, str(rng.choice(["30", "50", "70", "STOP", "P", "8"])), font, (c[0] - r * 0.5, c[1] - r * 0.35, r, r * 0.7), ink)
-    elif kind == 7:  # an empty plate, or a plate-shaped label with a sentence
-        rect(x, y, x + w, y + h, np.full(3, rng.uniform(130, 245), np.float32))
-        if rng.random() < 0.5:
-            rect(x, y, x + w, y + h, np.full(3, 25, np.float32), max(1, int(0.05 * h)))
-        if rng.random() < 0.5:
-            put_text(rng, image, words(rng, 2)[:24], font, (x + 0.1 * w, y + 0.75 * h, 0.8 * w, 0.16 * h), ink)
-        if rng.random() < 0.3:
-            rect(x, y, x + 0.08 * w, y + h, np.array([150, 60, 10], np.float32))
-    elif kind == 8:  # windows, bricks, a fence
-        n, m = int(rng.integers(2, 9)), int(rng.integers(1, 4))
-        rect(x, y, x + w, y + h, ground)
-        for i in range(n):
-            for j in range(m):
-                rect(x + w * (i + 0.15) / n, y + h * (j + 0.15) / m, x + w * (i + 0.85) / n, y + h * (j + 0.85) / m, np.clip(ink * rng.uniform(0.6, 1.3), 0, 255))
-    elif kind == 9:  # a page of small print
-        rect(x, y, x + w, y + h, ground)
-        n = int(rng.integers(3, 8))
-        for k in range(n):
-            put_text(rng, image, words(rng, 6)[: int(rng.integers(10, 36))], font, (x + 0.05 * w, y + h * (k + 0.2) / n, 0.9 * w * rng.uniform(0.5, 1), h * 0.6 / n), ink)
-    elif kind == 10:  # a big word of which the cut shows a part
-        put_text(rng, image, words(rng, 2), font, (x - rng.uniform(0, 2) * w, y - 0.2 * h, w * rng.uniform(2, 4), h * 1.4), ink)
-    else:  # a road sign with an arrow
-        rect(x, y, x + w, y + h, [np.array([150, 80, 10]), np.array([60, 110, 20]), np.array([240, 240, 240])][int(rng.integers(3))].astype(np.float32))
-        put_text(rng, image, words(rng, 1), font, (x + 0.1 * w, y + 0.3 * h, 0.55 * w, 0.4 * h), ink)
-        cv2.arrowedLine(image, (round(x + 0.8 * w), round(y + 0.8 * h)), (round(x + 0.85 * w), round(y + 0.2 * h)), ink.tolist(), max(1, int(0.08 * h)), cv2.LINE_AA)
-    quad = np.array([[x, y], [x + w, y], [x + w, y + h], [x, y + h]])
-    shear = rng.normal(0, 0.05)
-    matrix = np.array([[1, 0, 0], [shear, 1, -shear * W / 2]])
-    image = cv2.warpAffine(image, matrix, (W, H), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    quad = apply_affine(matrix, quad)
-    grey = camera(rng, image, ss)
-    quad = (quad + 0.5) / ss - 0.5
-    return _sample(grey, wrong_corners(rng, quad), "drawn", 0)
-
-
-def real_plate(rng: Rng, world: World) -> Sample | None:
-    """A labelled plate of an in-car frame: only that it is one is known (its label is an upright box)."""
-    if not world.frames:
-        return None
-    image, boxes = world.frames[int(rng.integers(len(world.frames)))]
-    if len(boxes) == 0:
-        return None
-    x, y, w, h = boxes[int(rng.integers(len(boxes)))]
-    quad = wrong_corners(rng, np.array([[x, y], [x + w, y], [x + w, y + h], [x, y + h]], np.float64))
-    grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-    if rng.random() < 0.3:
-        quad = _misplaced(rng, np.array([[x, y], [x + w, y], [x + w, y + h], [x, y + h]], np.float64))
-        return _sample(grey, quad, "real part", 0)
-    return _sample(grey, quad, "real", 1)
-
-
-def any_sample(rng: Rng, world: World) -> Sample:
-    """One draw of the training mixture."""
-    while True:
-        k = rng.random()
-        if k < 0.66:
-            s = plate_sample(rng, world)
-        elif k < 0.71:
-            s = plate_sample(rng, world, part=True)
-        elif k < 0.75:
-            s = real_plate(rng, world)
-        elif k < 0.84:
-            s = photo_negative(rng, world)
-        else:
-            s = drawn_negative(rng, world)
-        if s is not None:
-            return s
-
-

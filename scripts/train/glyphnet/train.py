@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from net import GlyphNet
+from net import GlyphNet, start_from
 from targets import jitter, losses
 
 from tmde_edge.vision.segment.glyph_crop import normalise
@@ -37,9 +37,11 @@ def main() -> None:
     p.add_argument("shards", type=Path)
     p.add_argument("--out", type=Path, required=True)
     p.add_argument("--steps", type=int, default=4000)
+    p.add_argument("--minutes", type=float, default=1e9, help="of training; the rate falls to nothing by then where that comes before --steps")
     p.add_argument("--seed", type=int, default=1)
     p.add_argument("--batch", type=int, default=64)
     p.add_argument("--rate", type=float, default=3e-3)
+    p.add_argument("--recent", type=float, default=40, help="shards: how quickly the attention to older ones falls")
     p.add_argument("--start", type=Path, help="weights to start from")
     a = p.parse_args()
     torch.set_num_threads(1)
@@ -47,7 +49,7 @@ def main() -> None:
     a.out.mkdir(parents=True, exist_ok=True)
     net = GlyphNet().to(memory_format=torch.channels_last)
     if a.start:
-        net.load_state_dict(torch.load(a.start)["ema"])
+        start_from(net, torch.load(a.start)["ema"])
     ema = {k: v.clone() for k, v in net.state_dict().items()}
     opt = torch.optim.AdamW(net.parameters(), lr=a.rate, weight_decay=1e-4)
     state = {"step": 0, "seconds": 0.0, "pass": 0}
@@ -57,15 +59,17 @@ def main() -> None:
         net.load_state_dict(saved["net"])
         opt.load_state_dict(saved["opt"])
         ema, state = saved["ema"], saved["state"]
-    while state["step"] < a.steps:
-        files = sorted(f for f in a.shards.glob("shard_*.npz") if ".tmp" not in f.name)
+    while max(state["step"] / a.steps, state["seconds"] / 60 / a.minutes) < 1:
+        files = sorted((f for f in a.shards.glob("shard_*.npz") if ".tmp" not in f.name), key=lambda f: f.stat().st_mtime)
         if not files:
             time.sleep(5)
             continue
         rng = np.random.default_rng([a.seed, state["pass"]])
         state["pass"] += 1
-        # new shards may arrive while training
-        data = load([files[int(k)] for k in rng.permutation(len(files))[:4]])
+        # new shards may arrive while training: the newest are seen most
+        age = np.arange(len(files))[::-1]
+        share = 0.3 / len(files) + 0.7 * np.exp(-age / a.recent) / np.exp(-age / a.recent).sum()
+        data = load([files[int(k)] for k in rng.choice(len(files), min(4, len(files)), replace=False, p=share / share.sum())])
         began = time.monotonic()
         net.train()
         sums: dict[str, float] = {}
@@ -73,7 +77,8 @@ def main() -> None:
         rest = mirror_parts(data)
         steps = len(order) // a.batch
         for k in range(steps):
-            cool = min(1.0, max(0.0, (state["step"] / a.steps - 0.6) / 0.4))
+            minutes = (state["seconds"] + time.monotonic() - began) / 60
+            cool = min(1.0, max(0.0, (max(state["step"] / a.steps, minutes / a.minutes) - 0.6) / 0.4))
             rate = a.rate * min(1.0, (state["step"] + 1) / 200) * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * cool)))
             for group in opt.param_groups:
                 group["lr"] = rate

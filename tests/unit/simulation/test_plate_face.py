@@ -106,6 +106,21 @@ def test_alpha_cuts_only_the_corners() -> None:
     assert alpha.mean() == pytest.approx(1 - (4 - np.pi) * 8**2 / (100 * 110), abs=2e-3)
 
 
+def test_a_polygon_lies_where_its_points_say() -> None:
+    mark = Mark(
+        kind="poly", left_mm=10, top_mm=-20, width_mm=30, height_mm=24, colour_bgr=(0, 0, 0), points=((0, 0), (1, 0), (1, 1))
+    )
+    spec = FaceSpec(
+        width_mm=100, height_mm=110, glyphs=(), background_bgr=(255, 255, 255), ink_bgr=(0, 0, 0), marks=(mark,)
+    )
+    cover = 1.0 - render_face(spec, 3.0)[..., 0].astype(float) / 255.0
+    rows, cols = np.indices(cover.shape)
+    x_mm, y_mm = ((i + 0.5) / 3.0 for i in (cols, rows))
+    assert cover.sum() / 9 == pytest.approx(360, rel=0.04)  # mm^2
+    assert (cover * (x_mm - 50)).sum() / cover.sum() == pytest.approx(30, abs=0.3)
+    assert (cover * (y_mm - 55)).sum() / cover.sum() == pytest.approx(-12, abs=0.3)
+
+
 def test_unknown_mark_kind_is_an_error() -> None:
     mark = Mark(kind="star", left_mm=0, top_mm=0, width_mm=1, height_mm=1, colour_bgr=(0, 0, 0))
     spec = FaceSpec(width_mm=10, height_mm=10, glyphs=(), background_bgr=(9, 9, 9), ink_bgr=(0, 0, 0), marks=(mark,))
