@@ -76,6 +76,7 @@ class Estimation:
         self._alert = Alert()
         self._last: FrameResult | None = None
         self._last_frame_ns: int | None = None
+        self._depth_taken_ns: int | None = None  # each reading of depth is used once
         self._tick_faults: tuple[str, ...] = ()
         self._temperature_c: float | None = None
         self._frame_times_ns: list[int] = []
@@ -134,8 +135,8 @@ class Estimation:
         self._scales = {k: v for k, v in self._scales.items() if k in alive}
         self._scale_changes(s)
         chosen = self._tracker.choose(s.t_ns)
-        lead = self._lead(s.t_ns, chosen)
         depth = self._depth(s, camera, chosen)
+        lead = self._lead(s.t_ns, chosen)
         blind = s.status in ("blind", "failed")
         self._alert = self._policy.step(self._situation(s.t_ns, lead))
         plates = tuple(
@@ -182,13 +183,19 @@ class Estimation:
             dt_s = (s.t_ns - change.t_from_ns) * 1e-9
             if track is None or dt_s <= 0 or change.ratio <= 0 or change.source == "plate":
                 continue
-            track.filter.update_inverse_ttc(-math.log(change.ratio) / dt_s, change.sigma / change.ratio / dt_s)
+            for f in track.filters:
+                f.update_inverse_ttc(-math.log(change.ratio) / dt_s, change.sigma / change.ratio / dt_s)
 
     def _depth(self, s: Sighting, camera: Camera | None, chosen: Track | None) -> DepthEstimate | None:
         if self._p.depth is None or camera is None:
             return None
-        return self._p.depth.update(s, camera, self._pose, {k: t.filter.distance_m for k, t in self._tracker.tracks.items()},
-                                    chosen.track_id if chosen is not None else None)  # fmt: skip
+        ranges_m = {k: t.filter.distance_m for k, t in self._tracker.tracks.items()}
+        found = self._p.depth.update(s, camera, self._pose, ranges_m, chosen.track_id if chosen is not None else None)
+        reading_ns = self._p.depth.reading_t_ns
+        if found is not None and chosen is not None and reading_ns is not None and reading_ns != self._depth_taken_ns:
+            self._depth_taken_ns = reading_ns
+            self._tracker.update_depth(chosen, found.distance_m, found.sigma_m, reading_ns, s.t_ns)
+        return found
 
     def _lead(self, t_ns: int, track: Track | None) -> LeadEstimate | None:
         if track is None:
@@ -225,7 +232,10 @@ class Estimation:
         track = self._tracker.tracks.get(lead.track_id) if lead is not None else None
         if lead is None or track is None:
             return Situation(t_ns=t_ns, ego_speed_mps=ego.speed_mps if ego is not None else None, turn_signal=turn)
-        f = track.filter
+        if track.without_depth is not None and (t_ns - track.measured_ns) * 1e-9 > self._p.tracker.coast_s:
+            # only depth still carries this lead: it is shown, and never warned of
+            return Situation(t_ns=t_ns, ego_speed_mps=ego.speed_mps if ego is not None else None, turn_signal=turn)
+        f = track.evidence
         gap_m = f.distance_m - self._bumper_m()
         metric = self._p.camera is not None
         # The lead's braking counts as far as it stands out of its noise.
@@ -236,12 +246,12 @@ class Estimation:
             present=True,
             gap_m=gap_m if metric else None,
             ttc_s=braking_ttc_s(gap_m, f.range_rate_mps, accel, f.lead_speed_mps),
-            ttc_sigma_s=lead.ttc_sigma_s,
+            ttc_sigma_s=ttc_sigma_s(gap_m, f.range_rate_mps, f.covariance),
             closing_mps=-f.range_rate_mps if metric else None,
             closing_sigma_mps=math.sqrt(max(float(f.covariance[1, 1]), 0.0)) if metric else None,
             required_decel_mps2=required_decel_mps2(gap_m, f.range_rate_mps) if metric else None,
-            headway_s=lead.headway_s,
             standing=not track.moved,
+            headway_s=None if lead.headway_s is None or ego is None else gap_m / ego.speed_mps,
             ego_speed_mps=ego.speed_mps if ego is not None else None,
             brake_pressed=ego.brake_pressed if ego is not None else None,
             turn_signal=turn,

@@ -2,12 +2,15 @@
 
 State (3,): distance D (m), speed v (m/s), acceleration a (m/s2). With ego speed known, v and a are the lead's own over
 ground and the distance changes by v minus what we travelled; without it they are relative (ego travel 0).
+A fourth state is the relative error b of distances by depth: it hangs together over seconds, so readings of a network
+are no independent measurements. It is learnt while the plate is seen, and costs nothing while no depth comes.
 Process: Singer's exponentially correlated acceleration (R. A. Singer, IEEE T-AES 6(4), 1970), da/dt = -a/tau + w,
 discretised exactly, so two steps of 0.1 s are one of 0.2 s. Model "cv" is the paper's [D, v] with white acceleration.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -18,6 +21,7 @@ from numpy.typing import NDArray
 from tmde_edge.tracking.settings import TrackerSettings
 
 Matrix = NDArray[np.float64]
+DEPTH_REPEATS = 4.0  # readings at 4 Hz that share an error of some seconds: sqrt of how many count as one
 
 
 @lru_cache(maxsize=512)
@@ -68,7 +72,7 @@ class RangeFilter:
         self, settings: TrackerSettings, *, distance_m: float, noise_m: float, ego_speed_mps: float | None = None
     ) -> None:
         self._s = settings
-        self._kf = KalmanFilter(dim_x=3, dim_z=1)
+        self._kf = KalmanFilter(dim_x=4, dim_z=1)
         self._ego_speed_mps = ego_speed_mps
         self._rejected: list[float] = []
         self._start(distance_m, noise_m)
@@ -77,15 +81,17 @@ class RangeFilter:
         accel = self._s.accel_sigma_mps2 if self._s.model == "singer" else 0.0
         # Vehicles ahead mostly move about as fast as we do: begin with no closing and a wide sigma.
         speed = self._ego_speed_mps or 0.0
-        self._kf.x = np.array([[distance_m], [speed], [0.0]])
-        self._kf.P = np.diag([noise_m**2, self._s.initial_speed_sigma_mps**2, accel**2])
+        self._kf.x = np.array([[distance_m], [speed], [0.0], [0.0]])
+        self._kf.P = np.diag([noise_m**2, self._s.initial_speed_sigma_mps**2, accel**2, self._s.depth_bias_sigma**2])
 
     def predict(self, dt_s: float, ego_travel_m: float = 0.0, ego_travel_sigma_m: float = 0.0) -> None:
         """Moves the state on by dt_s >= 0; ego_travel_m is what the own vehicle covered in it."""
         if dt_s <= 0:
             return
         sigma = self._s.accel_sigma_mps2 if self._s.model == "singer" else self._s.cv_accel_sigma_mps2
-        f, q = transition(self._s.model, round(dt_s, 9), sigma, self._s.accel_tau_s)
+        fade = math.exp(-dt_s / self._s.depth_bias_tau_s)
+        f, q = np.diag([1.0, 1.0, 1.0, fade]), np.diag([0.0, 0.0, 0.0, (1.0 - fade**2) * self._s.depth_bias_sigma**2])
+        f[:3, :3], q[:3, :3] = transition(self._s.model, round(dt_s, 9), sigma, self._s.accel_tau_s)
         self._kf.predict(F=f, Q=q)
         if self._ego_speed_mps is not None:
             self._kf.x[0, 0] -= ego_travel_m
@@ -115,7 +121,7 @@ class RangeFilter:
         self._rejected.clear()
         if n > 2.0:  # Huber: between 2 sigma and the gate a residual counts for less and less
             r = (s * n / 2.0) - float(self._kf.P[0, 0])
-        self._kf.update(np.array([[distance_m]]), R=np.array([[r]]), H=np.array([[1.0, 0.0, 0.0]]))
+        self._kf.update(np.array([[distance_m]]), R=np.array([[r]]), H=np.array([[1.0, 0.0, 0.0, 0.0]]))
         return Innovation(residual=y, sigma=sigma, accepted=True)
 
     def update_inverse_ttc(self, rate_per_s: float, sigma_per_s: float) -> Innovation:
@@ -127,7 +133,30 @@ class RangeFilter:
         sigma = (float(self._kf.P[1, 1]) + r) ** 0.5
         if abs(y) > self._s.gate_sigma * sigma:
             return Innovation(residual=y, sigma=sigma, accepted=False)
-        self._kf.update(np.array([[z]]), R=np.array([[r]]), H=np.array([[0.0, 1.0, 0.0]]))
+        self._kf.update(np.array([[z]]), R=np.array([[r]]), H=np.array([[0.0, 1.0, 0.0, 0.0]]))
+        return Innovation(residual=y, sigma=sigma, accepted=True)
+
+    def update_depth(self, distance_m: float, sigma_m: float, age_s: float, travel_m: float) -> Innovation:
+        """A distance by depth as of age_s ago (the own vehicle covered travel_m since): z = (D - v age + a age^2/2 + travel)(1 + b).
+
+        What `sigma_m` has beyond the lasting error b counts as lasting too: it is taken as so much larger white noise.
+        """
+        d = float(self._kf.x[0, 0])
+        back = np.array([1.0, -age_s, 0.5 * age_s**2])
+        then_m = float(back @ self._kf.x[:3, 0]) + (travel_m if self._ego_speed_mps is not None else 0.0)
+        relative = sigma_m / max(distance_m, 1e-3)
+        excess = math.sqrt(max(relative**2 - self._s.depth_bias_sigma**2, 0.0))
+        r = (math.hypot(self._s.depth_noise, DEPTH_REPEATS * excess) * then_m) ** 2
+        bias = 1.0 + float(self._kf.x[3, 0])
+        h = np.array([[*(back * bias), then_m]])
+        y = distance_m - then_m * bias
+        s = float((h @ self._kf.P @ h.T)[0, 0]) + r
+        sigma = s**0.5
+        if d <= 0.0 or then_m <= 0.0 or abs(y) > self._s.gate_sigma * sigma:
+            return Innovation(residual=y, sigma=sigma, accepted=False)
+        if abs(y) > 2.0 * sigma:  # Huber, as for ranges
+            r += s * (abs(y) / sigma / 2.0 - 1.0)
+        self._kf.update(np.array([[y + float((h @ self._kf.x)[0, 0])]]), R=np.array([[r]]), H=h)
         return Innovation(residual=y, sigma=sigma, accepted=True)
 
     @property
@@ -150,4 +179,4 @@ class RangeFilter:
     @property
     def covariance(self) -> Matrix:
         """(3, 3) of D, v, a."""
-        return np.array(self._kf.P, dtype=np.float64)
+        return np.array(self._kf.P[:3, :3], dtype=np.float64)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from dataclasses import dataclass, field
 from typing import Literal
@@ -16,6 +17,9 @@ Source = Literal["plate", "vehicle", "flow", "depth"]
 LATERAL_TAU_S = 0.25  # smoothing of the lateral offset: short against a lane change of 2 to 4 s
 STANDING_MPS = 1.0  # a vehicle that was never surely faster than this stands
 ONCOMING_MPS, ONCOMING_SHARE = 3.0, 0.35
+DEPTH_CARRIES_AFTER_S = 0.15  # without any other measurement for longer than this a reading carries the lead
+DEPTH_CARRIES_NS = 600_000_000  # and it does so for this long
+SEEN_AGAIN = 5  # measurements after which alerts rest on the filter with depth again
 SAME_VEHICLE_LATERAL_M = 0.9  # a new identity this near to a coasting track is that vehicle again
 
 
@@ -35,7 +39,20 @@ class Track:
     in_path: bool = False
     in_path_since_ns: int = 0
     moved: bool = False  # was ever seen to move over ground, or that was not known
+    depth_ns: int | None = None  # when a distance by depth was last taken
+    without_depth: RangeFilter | None = None  # since only depth carried: what would be known without it
+    seen_again: int = 0  # measurements since then
     innovations: list[tuple[float, float]] = field(default_factory=list)  # (residual, sigma) of the last ranges
+
+    @property
+    def evidence(self) -> RangeFilter:
+        """What alerts may rest on: never depth alone."""
+        return self.without_depth if self.without_depth is not None else self.filter
+
+    @property
+    def filters(self) -> tuple[RangeFilter, ...]:
+        """All that a measurement other than depth goes to."""
+        return (self.filter,) if self.without_depth is None else (self.filter, self.without_depth)
 
     @property
     def sigma_m(self) -> float:
@@ -74,7 +91,11 @@ class LeadTracker:
                 # While the speed was unknown the filter is relative; it changes over before it moves on.
                 track.filter.set_ego_speed(speed)
                 sigma_m = (self._ego.speed_sigma_mps if self._ego is not None else 0.0) * dt_s
-                track.filter.predict(dt_s, self.ego_motion.travel_m(track.t_ns, t_ns), sigma_m)
+                travel_m = self.ego_motion.travel_m(track.t_ns, t_ns)
+                track.filter.predict(dt_s, travel_m, sigma_m)
+                if track.without_depth is not None:
+                    track.without_depth.set_ego_speed(speed)
+                    track.without_depth.predict(dt_s, travel_m, sigma_m)
                 track.lateral_sigma_m = math.hypot(track.lateral_sigma_m, 0.5 * dt_s)
                 track.t_ns = t_ns
             coasted_s = (t_ns - track.measured_ns) * 1e-9
@@ -82,7 +103,8 @@ class LeadTracker:
                 track.sigma_m > self._s.drop_sigma * max(track.filter.distance_m, 1.0)
                 and track.hits >= self._s.confirm_hits
             )
-            if coasted_s > self._s.coast_s or (lost and coasted_s > 0.2) or track.filter.distance_m <= 0:
+            carried = track.depth_ns is not None and t_ns - track.depth_ns <= DEPTH_CARRIES_NS
+            if (coasted_s > self._s.coast_s and not carried) or (lost and coasted_s > 0.2) or track.filter.distance_m <= 0:
                 del self.tracks[track.track_id]
 
     def update(self, measurement: RangeMeasurement, source: Source) -> Track:
@@ -107,6 +129,11 @@ class LeadTracker:
             self.tracks[track.track_id] = track
             return track
         innovation = track.filter.update_range(measurement.distance_m, measurement.noise_m)
+        if track.without_depth is not None:
+            track.without_depth.update_range(measurement.distance_m, measurement.noise_m)
+            track.seen_again += 1
+            if track.seen_again >= SEEN_AGAIN:
+                track.without_depth = None
         if innovation.accepted:
             gain = track.lateral_sigma_m**2 / (track.lateral_sigma_m**2 + measurement.lateral_sigma_m**2 + 1e-9)
             dt_s = (measurement.t_ns - track.measured_ns) * 1e-9
@@ -119,6 +146,19 @@ class LeadTracker:
             track.hits += 1
         track.innovations = [*track.innovations[-49:], (innovation.residual, innovation.sigma)]
         return track
+
+    def update_depth(self, track: Track, distance_m: float, sigma_m: float, reading_ns: int, t_ns: int) -> None:
+        """One distance by depth as of reading_ns, taken at t_ns (the time of the track's state)."""
+        carries = (t_ns - track.measured_ns) * 1e-9 > DEPTH_CARRIES_AFTER_S
+        if carries and track.without_depth is None:
+            track.without_depth = copy.deepcopy(track.filter)
+        if carries:
+            track.seen_again = 0
+        age_s, travel_m = (t_ns - reading_ns) * 1e-9, self.ego_motion.travel_m(reading_ns, t_ns)
+        if track.filter.update_depth(distance_m, sigma_m, age_s, travel_m).accepted:
+            track.depth_ns = t_ns
+            if carries:
+                track.source = "depth"
 
     def _adopt(self, measurement: RangeMeasurement) -> Track | None:
         """A new image identity that continues a coasting track in metres takes over its state."""
