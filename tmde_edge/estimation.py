@@ -7,7 +7,7 @@ desk and the replay of a recorded drive run exactly this code on exactly these e
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -34,7 +34,7 @@ from tmde_edge.messages import (
     Tick,
 )
 from tmde_edge.pose.attitude import AttitudeEstimator
-from tmde_edge.pose.compensate import view_from_vehicle
+from tmde_edge.pose.compensate import cosine_ratio, plate_height_possible, view_from_vehicle
 from tmde_edge.ranging.depth_scale import DepthAligner
 from tmde_edge.ranging.ranger import Ranger
 from tmde_edge.ranging.scale_memory import TrackScale
@@ -54,6 +54,7 @@ class Parts:
 
     camera: Camera | None  # None: uncalibrated
     to_bumper_m: float
+    camera_height_m: float | None  # above the road; None: no gate on a plate's height
     ranger: Ranger
     attitude: AttitudeEstimator
     depth: DepthAligner | None
@@ -168,13 +169,27 @@ class Estimation:
         if camera is None:
             self._tracker.update(_relative_range(plate, s), _source(plate))
             return None, "uncalibrated"
-        found, scale, reason = self._p.ranger.measure(
-            plate, camera, view_from_vehicle(self._pose), s.t_ns, self._scales.get(plate.track_id)
-        )
+        correction = self._p.attitude.correction
+        turn = view_from_vehicle(self._pose) if correction == "rotate" else np.eye(3)
+        found, scale, reason = self._p.ranger.measure(plate, camera, turn, s.t_ns, self._scales.get(plate.track_id))
+        if found is not None and correction == "paper":
+            found = _scaled(found, cosine_ratio(self._pose, self._p.attitude.rest))
+        if found is not None and not self._height_possible(plate, found, camera):
+            return None, "height above the road"
         self._scales[plate.track_id] = scale
         if found is not None:
             self._tracker.update(found, _source(plate))
         return found, reason
+
+    def _height_possible(self, plate: PlateSighting, found: RangeMeasurement, camera: Camera) -> bool:
+        """False for what would hang below the road or 5 m above it; True where the camera's height is not known."""
+        height_m = self._p.camera_height_m
+        if height_m is None:
+            return True
+        x_px, y_px = np.mean(plate.corners_px, axis=0)
+        return plate_height_possible(
+            (float(x_px), float(y_px)), found.distance_m, found.sigma_m, camera, self._pose, height_m
+        )  # fmt: skip
 
     def _scale_changes(self, s: Sighting) -> None:
         """Growth of the whole vehicle rear says v / D by itself; the plate's own growth is already in its ranges."""
@@ -230,10 +245,7 @@ class Estimation:
         ego = self._ego
         turn = ego.turn_signal if ego is not None else None
         track = self._tracker.tracks.get(lead.track_id) if lead is not None else None
-        if lead is None or track is None:
-            return Situation(t_ns=t_ns, ego_speed_mps=ego.speed_mps if ego is not None else None, turn_signal=turn)
-        if track.without_depth is not None and (t_ns - track.measured_ns) * 1e-9 > self._p.tracker.coast_s:
-            # only depth still carries this lead: it is shown, and never warned of
+        if lead is None or track is None or not self._tracker.known_without_depth(track, t_ns):
             return Situation(t_ns=t_ns, ego_speed_mps=ego.speed_mps if ego is not None else None, turn_signal=turn)
         f = track.evidence
         gap_m = f.distance_m - self._bumper_m()
@@ -284,6 +296,14 @@ class Estimation:
 
 def _source(plate: PlateSighting) -> Source:
     return "flow" if plate.source == "flow" else "plate"
+
+
+def _scaled(found: RangeMeasurement, factor: float) -> RangeMeasurement:
+    """The same measurement with all its distances along the axis times a factor."""
+    cues = tuple(replace(c, distance_m=c.distance_m * factor, sigma_m=c.sigma_m * factor) for c in found.cues)
+    return replace(
+        found, distance_m=found.distance_m * factor, sigma_m=found.sigma_m * factor, noise_m=found.noise_m * factor, cues=cues
+    )
 
 
 def _relative_range(plate: PlateSighting, s: Sighting) -> RangeMeasurement:

@@ -69,9 +69,10 @@ def errors(results: list[FrameResult], truth: list[dict[str, str]]) -> tuple[np.
     """|error| and sigma of the lead's distance of every frame (m); NaN where there is no lead."""
     error, sigma = np.full(len(truth), np.nan), np.full(len(truth), np.nan)
     for r in results:
-        if r.lead is not None and r.lead.distance_m is not None and r.lead.sigma_m is not None and truth[r.frame_index]["distance_m"]:
-            error[r.frame_index] = abs(r.lead.distance_m - float(truth[r.frame_index]["distance_m"]))
-            sigma[r.frame_index] = r.lead.sigma_m
+        lead, true_m = r.lead, truth[r.frame_index]["distance_m"]
+        if lead is not None and lead.distance_m is not None and lead.sigma_m is not None and true_m:
+            error[r.frame_index] = abs(lead.distance_m - float(true_m))
+            sigma[r.frame_index] = lead.sigma_m
     return error, sigma
 
 
@@ -103,17 +104,19 @@ def main() -> None:
     parser.add_argument("--scenarios", default=",".join(GAPS))
     a = parser.parse_args()
     cv2.setNumThreads(1)
-    print("| scenario, seed | distance | error at the end, m: neither | depth | ratio | vehicle scale | both | worst growth, sigma: depth | both "
-          "| in 1 / 2 sigma in the gap, depth |\n|---|---|---|---|---|---|---|---|---|---|")  # fmt: skip
+    print("| scenario, seed | distance | error at the end, m: neither | depth | ratio | vehicle scale | both "
+          "| worst growth, sigma: depth | both | in 1 / 2 sigma in the gap, depth |\n|" + 10 * "---|")  # fmt: skip
     rows = []
     for seed in map(int, a.seeds.split(",")):
         for name in a.scenarios.split(","):
             r = judged(*recorded(a.folder, name, seed))
             rows.append(r)
-            print(f"| {name}, {seed} | {r['d']:.1f} m | {r['neither']:.2f} | {r['depth']:.2f} | {r['depth'] / max(r['neither'], 1e-6):.2f} "
+            ratio = r["depth"] / max(r["neither"], 1e-6)
+            print(f"| {name}, {seed} | {r['d']:.1f} m | {r['neither']:.2f} | {r['depth']:.2f} | {ratio:.2f} "
                   f"| {r['vehicle']:.2f} | {r['both']:.2f} | {r['worst depth']:.2f} | {r['worst both']:.2f} "
                   f"| {r['depth inside']:.2f} / {r['depth inside 2']:.2f} |", flush=True)  # fmt: skip
-    mean = {k: math.fsum(r[k] for r in rows) / len(rows) for k in ("neither", "depth", "vehicle", "both")}
+    kept = [r for r in rows if math.isfinite(r["neither"])]  # elsewhere the lead is lost without depth (nan)
+    mean = {k: math.fsum(r[k] for r in kept) / max(len(kept), 1) for k in ("neither", "depth", "vehicle", "both")}
     print(f"| mean | | {mean['neither']:.2f} | {mean['depth']:.2f} | {mean['depth'] / mean['neither']:.2f} "
           f"| {mean['vehicle']:.2f} | {mean['both']:.2f} | | | |")  # fmt: skip
 

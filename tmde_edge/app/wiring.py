@@ -90,6 +90,7 @@ def build_estimation(config: Config, base_dir: Path) -> Estimation:
         Parts(
             camera=camera,
             to_bumper_m=config.camera.to_bumper_m,
+            camera_height_m=config.camera.height_m,
             ranger=Ranger(config.ranging, select(config.plates.expect)),
             attitude=build_attitude(config),
             depth=DepthAligner(config.depth, config.camera.height_m) if config.depth.kind != "none" else None,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Literal
 
 import numpy as np
 
@@ -52,6 +53,11 @@ class AttitudeEstimator:
         self._moved_ns: int | None = None  # of the last movement that was used
         self._witnesses = 0  # outliers in a row that agree
         self._doubted: tuple[float, float, int] | None = None  # pitch, sigma and time of the last outlier
+
+    @property
+    def correction(self) -> Literal["rotate", "paper", "none"]:
+        """How distances are corrected for the attitude."""
+        return self._settings.correction
 
     @property
     def resting(self) -> RestingPose:

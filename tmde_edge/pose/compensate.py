@@ -47,15 +47,15 @@ def to_vehicle(points_view_m: FloatArray, pose: Pose) -> FloatArray:
     return turned
 
 
-def cosine_ratio_m(distance_m: float, pose: Pose, rest: Pose) -> float:
-    """The paper's correction, D cos(pitch)/cos(rest pitch) and the same for roll.
+def cosine_ratio(pose: Pose, rest: Pose) -> float:
+    """The paper's correction as a factor of the distance: cos(pitch)/cos(rest pitch), and the same for roll.
 
     Its whole effect is 1 - cos(2 deg) = 0.06 % at 2 deg, 0.4 % at 5 deg: far below every cue's sigma. What pitch really
     moves is the ray's direction (ground_range_m, plate_height_m), which `correction = "rotate"` accounts for.
     """
     pitch = math.cos(pose.pitch_rad) / math.cos(rest.pitch_rad)
     roll = math.cos(pose.roll_rad) / math.cos(rest.roll_rad)
-    return distance_m * pitch * roll
+    return pitch * roll
 
 
 def ground_range(

@@ -18,7 +18,7 @@ class PoseSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     working_width_px: Annotated[int, Meta(ge=160)] = 640  # the image is reduced to about this width for the search
     search_fraction: Positive = 0.05  # of the image width: how far above or below the prior the vanishing row may lie
     max_sigma_px: Positive = 12.0  # a vanishing row less certain than this is none (source pixels at 1280 px width)
-    correction: Literal["rotate", "cosine", "none"] = "rotate"  # of distances: rays rotated; the paper's cosine ratio; none
+    correction: Literal["rotate", "paper", "none"] = "rotate"  # of distances: rays rotated; the paper's cosine ratio; none
     hold_s: Positive = 1.0  # without lanes for longer than this the source is "none" and the pitch is the resting one
     pitch_spread_rad: Positive = 0.015  # one sigma of the body's pitching about its rest (braking, bumps)
     natural_hz: Positive = 1.2  # of the body's pitching on its springs

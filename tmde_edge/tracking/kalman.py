@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from tmde_edge.tracking.settings import TrackerSettings
 
 Matrix = NDArray[np.float64]
-DEPTH_REPEATS = 4.0  # readings at 4 Hz that share an error of some seconds: sqrt of how many count as one
 
 
 @lru_cache(maxsize=512)
@@ -75,6 +74,7 @@ class RangeFilter:
         self._kf = KalmanFilter(dim_x=4, dim_z=1)
         self._ego_speed_mps = ego_speed_mps
         self._rejected: list[float] = []
+        self._depth_sigma = 0.0  # of the lasting error, as the readings tell it; none has come yet
         self._start(distance_m, noise_m)
 
     def _start(self, distance_m: float, noise_m: float) -> None:
@@ -82,15 +82,15 @@ class RangeFilter:
         # Vehicles ahead mostly move about as fast as we do: begin with no closing and a wide sigma.
         speed = self._ego_speed_mps or 0.0
         self._kf.x = np.array([[distance_m], [speed], [0.0], [0.0]])
-        self._kf.P = np.diag([noise_m**2, self._s.initial_speed_sigma_mps**2, accel**2, self._s.depth_bias_sigma**2])
+        self._kf.P = np.diag([noise_m**2, self._s.initial_speed_sigma_mps**2, accel**2, self._depth_sigma**2])
 
     def predict(self, dt_s: float, ego_travel_m: float = 0.0, ego_travel_sigma_m: float = 0.0) -> None:
         """Moves the state on by dt_s >= 0; ego_travel_m is what the own vehicle covered in it."""
         if dt_s <= 0:
             return
         sigma = self._s.accel_sigma_mps2 if self._s.model == "singer" else self._s.cv_accel_sigma_mps2
-        fade = math.exp(-dt_s / self._s.depth_bias_tau_s)
-        f, q = np.diag([1.0, 1.0, 1.0, fade]), np.diag([0.0, 0.0, 0.0, (1.0 - fade**2) * self._s.depth_bias_sigma**2])
+        fade = math.exp(-dt_s / self._s.depth_error_tau_s)
+        f, q = np.diag([1.0, 1.0, 1.0, fade]), np.diag([0.0, 0.0, 0.0, (1.0 - fade**2) * self._depth_sigma**2])
         f[:3, :3], q[:3, :3] = transition(self._s.model, round(dt_s, 9), sigma, self._s.accel_tau_s)
         self._kf.predict(F=f, Q=q)
         if self._ego_speed_mps is not None:
@@ -137,16 +137,17 @@ class RangeFilter:
         return Innovation(residual=y, sigma=sigma, accepted=True)
 
     def update_depth(self, distance_m: float, sigma_m: float, age_s: float, travel_m: float) -> Innovation:
-        """A distance by depth as of age_s ago (the own vehicle covered travel_m since): z = (D - v age + a age^2/2 + travel)(1 + b).
+        """A distance by depth as of age_s ago, travel_m back: z = (D - v age + a age^2 / 2 + travel)(1 + b).
 
-        What `sigma_m` has beyond the lasting error b counts as lasting too: it is taken as so much larger white noise.
+        All of sigma_m is taken as an error that lasts; only `depth_noise` is new in every reading.
         """
         d = float(self._kf.x[0, 0])
         back = np.array([1.0, -age_s, 0.5 * age_s**2])
         then_m = float(back @ self._kf.x[:3, 0]) + (travel_m if self._ego_speed_mps is not None else 0.0)
-        relative = sigma_m / max(distance_m, 1e-3)
-        excess = math.sqrt(max(relative**2 - self._s.depth_bias_sigma**2, 0.0))
-        r = (math.hypot(self._s.depth_noise, DEPTH_REPEATS * excess) * then_m) ** 2
+        relative = max(sigma_m / max(distance_m, 1e-3), self._s.depth_noise)
+        self._kf.P[3, 3] += max(relative**2 - self._depth_sigma**2, 0.0)  # it is worse than it was: so is what was learnt
+        self._depth_sigma = relative
+        r = (self._s.depth_noise * then_m) ** 2
         bias = 1.0 + float(self._kf.x[3, 0])
         h = np.array([[*(back * bias), then_m]])
         y = distance_m - then_m * bias

@@ -18,7 +18,8 @@ LATERAL_TAU_S = 0.25  # smoothing of the lateral offset: short against a lane ch
 STANDING_MPS = 1.0  # a vehicle that was never surely faster than this stands
 ONCOMING_MPS, ONCOMING_SHARE = 3.0, 0.35
 DEPTH_CARRIES_AFTER_S = 0.15  # without any other measurement for longer than this a reading carries the lead
-DEPTH_CARRIES_NS = 600_000_000  # and it does so for this long
+DEPTH_CARRIES_NS = 600_000_000  # and it does so for this long ...
+DEPTH_ADDS_S = 1.5  # ... but never more than this beyond coasting
 SEEN_AGAIN = 5  # measurements after which alerts rest on the filter with depth again
 SAME_VEHICLE_LATERAL_M = 0.9  # a new identity this near to a coasting track is that vehicle again
 
@@ -98,14 +99,20 @@ class LeadTracker:
                     track.without_depth.predict(dt_s, travel_m, sigma_m)
                 track.lateral_sigma_m = math.hypot(track.lateral_sigma_m, 0.5 * dt_s)
                 track.t_ns = t_ns
-            coasted_s = (t_ns - track.measured_ns) * 1e-9
-            lost = (
-                track.sigma_m > self._s.drop_sigma * max(track.filter.distance_m, 1.0)
-                and track.hits >= self._s.confirm_hits
-            )
             carried = track.depth_ns is not None and t_ns - track.depth_ns <= DEPTH_CARRIES_NS
-            if (coasted_s > self._s.coast_s and not carried) or (lost and coasted_s > 0.2) or track.filter.distance_m <= 0:
+            if self._over(track, track.filter, t_ns, self._s.coast_s + (DEPTH_ADDS_S if carried else 0.0)):
                 del self.tracks[track.track_id]
+
+    def _over(self, track: Track, state: RangeFilter, t_ns: int, coast_s: float) -> bool:
+        """True where nothing was measured for too long, or nothing is known any more."""
+        coasted_s = (t_ns - track.measured_ns) * 1e-9
+        sigma_m = math.hypot(math.sqrt(max(float(state.covariance[0, 0]), 0.0)), track.scale_sigma * state.distance_m)
+        lost = sigma_m > self._s.drop_sigma * max(state.distance_m, 1.0) and track.hits >= self._s.confirm_hits
+        return coasted_s > coast_s or (lost and coasted_s > 0.2) or state.distance_m <= 0
+
+    def known_without_depth(self, track: Track, t_ns: int) -> bool:
+        """False where only depth still carries the track: it is shown then, and nothing is told of it."""
+        return track.without_depth is None or not self._over(track, track.without_depth, t_ns, self._s.coast_s)
 
     def update(self, measurement: RangeMeasurement, source: Source) -> Track:
         """One range of one track; predict() must have been called for its time."""

@@ -19,9 +19,8 @@ class TrackerSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     initial_speed_sigma_mps: Positive = 8.0  # of the closing speed when a track begins
     gate_sigma: Positive = 4.0  # a range further off than this is not used ...
     gate_rejects: Annotated[int, Meta(ge=1)] = 4  # ... unless this many in a row agree with each other
-    depth_bias_sigma: Positive = 0.05  # relative error of distances by depth that lasts ...
-    depth_bias_tau_s: Positive = 3.0  # ... this long
-    depth_noise: Positive = 0.02  # relative, new in every reading
+    depth_error_tau_s: Positive = 4.0  # how long an error of distances by depth lasts
+    depth_noise: Positive = 0.02  # relative part of it that is new in every reading
     coast_s: Positive = 2.0  # a track without any measurement ends after this
     drop_sigma: Positive = 0.3  # or when its sigma exceeds this part of its distance
     confirm_hits: Annotated[int, Meta(ge=1)] = 2  # ranges before a track can be the lead

@@ -10,7 +10,7 @@ from road import CAMERA, HEIGHT_M, projected
 
 from tmde_edge.messages import Pose
 from tmde_edge.pose.compensate import (
-    cosine_ratio_m,
+    cosine_ratio,
     ground_range,
     height_above_road,
     pitch_and_yaw,
@@ -84,7 +84,7 @@ def test_compensated_ground_range_within_five_per_cent_at_30_m() -> None:
 
 def test_paper_cosine_ratio_is_a_fraction_of_a_per_cent() -> None:
     rest = Pose(pitch_rad=0.0, roll_rad=0.0)
-    assert cosine_ratio_m(100.0, Pose(pitch_rad=math.radians(2.0), roll_rad=0.0), rest) == pytest.approx(99.939, abs=0.001)
+    assert cosine_ratio(Pose(pitch_rad=math.radians(2.0), roll_rad=0.0), rest) == pytest.approx(0.99939, abs=1e-5)
 
 
 @pytest.mark.parametrize(

@@ -50,9 +50,9 @@ def test_a_lasting_error_is_never_averaged_away(count: int, distance_m: float) -
     """However many readings of one network come at once, the distance is not known better than the error they share."""
     f = RangeFilter(S, distance_m=distance_m, noise_m=10.0)
     for _ in range(count):
-        f.update_depth(distance_m, S.depth_bias_sigma * distance_m, 0.0, 0.0)
+        f.update_depth(distance_m, 0.05 * distance_m, 0.0, 0.0)
     sigma_m = math.sqrt(float(f.covariance[0, 0]))
-    expected_m = 1.0 / math.hypot(1.0 / 10.0, 1.0 / (S.depth_bias_sigma * distance_m))
+    expected_m = 1.0 / math.hypot(1.0 / 10.0, 1.0 / (0.05 * distance_m))
     assert sigma_m >= 0.95 * expected_m
 
 
