@@ -151,6 +151,11 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--out", metavar="FOLDER", type=Path, help="where to (default: incident-... here)")
     sub.add_argument("--before", metavar="SECONDS", type=float, default=10.0)
     sub.add_argument("--after", metavar="SECONDS", type=float, default=10.0)
+    sub = verb("can", _can, "lets the service speak on the bus, or silences it")
+    sub.add_argument("action", choices=["enable-transmit", "disable-transmit"])
+    sub.add_argument("--yes", action="store_true", help="do not ask")
+    sub.add_argument("--seconds", type=float, default=60.0, metavar="N", help="how long to listen for collisions (default 60)")
+    sub.add_argument("--empty-bus", action="store_true", help="a bus without any traffic is right (a display of our own)")
     sub = verb("bench", _bench, "how fast here: p50, p95, p99 of each stage by resolution")
     sub.add_argument("what", nargs="?", choices=["detect"], default="detect")
     sub.add_argument("--json", action="store_true", help="rows as JSON lines")
@@ -456,6 +461,40 @@ def _incident(args: argparse.Namespace) -> int:
     )
     c = made.counts
     _say(args, f"{made.what}: {c['frames']} frames, {c['can_frames']} CAN frames, {c['decisions']} decisions in {made.out}")
+    return 0
+
+
+def _can(args: argparse.Namespace) -> int:
+    from tmde_edge.app import can_transmit
+
+    path = args.config if args.config is not None else Path("/etc/tmde-edge/config.toml")
+    if args.overrides:
+        raise UsageError("can: --set changes no file; edit the configuration, or name it with -c")
+    if args.seconds <= 0:
+        raise UsageError(f"can: --seconds {args.seconds:g}: give how long to listen, such as 60")
+    on = args.action == "enable-transmit"
+    settings, changes, notes = can_transmit.plan(path, on)
+    where = f"{settings.interface} {settings.channel}"
+    if on and any(change.new is not None for change in changes):
+        ids = ", ".join(f"{can_transmit.id_text(key)} ({name})" for key, name in can_transmit.own_ids(settings).items())
+        _say(args, f"this will send on {where}: {ids}")
+        if not args.yes:
+            if not sys.stdin.isatty():
+                raise UsageError("can enable-transmit asks before it changes anything, and there is no terminal; add --yes")
+            if input(f"listen {args.seconds:.0f} s for collisions, then let it send? [y/N] ").strip().lower() not in ("y", "yes"):
+                _say(args, "nothing is changed")
+                return 1
+        bar = _bar("listening", args.quiet)
+        total = round(args.seconds)
+        heard = can_transmit.listen(settings, args.seconds, lambda s, _: bar(min(round(s), total), total) if bar else None)
+        can_transmit.judge(settings, heard, empty_bus=args.empty_bus)
+        _say(args, f"{where}: {heard.frames} frames of {len(heard.ids)} ids in {args.seconds:.0f} s, none of them ours")
+    for line in can_transmit.apply(changes):
+        print(line)
+    for note in notes:
+        _say(args, note)
+    if any(change.new is not None for change in changes):
+        _say(args, f"to make it so: {can_transmit.restart_hint(settings, changes)}")
     return 0
 
 

@@ -15,7 +15,7 @@ PGN_AEBS1 = 61487  # 0xF02F
 PGN_CCVS1 = 65265  # 0xFEF1
 PGN_VDC2 = 61449  # 0xF009
 _PERIOD_NS = {PGN_ACC1: 100_000_000, PGN_AEBS1: 50_000_000}
-_PRIORITY = {PGN_ACC1: 4, PGN_AEBS1: 3}
+PRIORITY = {PGN_ACC1: 4, PGN_AEBS1: 3}
 
 
 def j1939_id(pgn: int, source_address: int, priority: int = 6) -> int:
@@ -47,7 +47,7 @@ class J1939Transmitter:
             jumped = due is None or not -period < t_ns - due < 2 * period
             if due is None or jumped or at_once or t_ns >= due:
                 self._due_ns[pgn] = t_ns + period if due is None or jumped or at_once else due + period
-                can_id = j1939_id(pgn, self._source_address, _PRIORITY[pgn])
+                can_id = j1939_id(pgn, self._source_address, PRIORITY[pgn])
                 out.append(CanFrame(t_ns=t_ns, can_id=can_id, data=data, extended=True))
         return tuple(out)
 
