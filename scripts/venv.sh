@@ -25,6 +25,10 @@ make_venv() { # FOLDER LOCK...: made once, renewed when a lock file, the project
   if [ -x "$folder/bin/python" ] && [ "$(cat "$folder/.locked" 2>/dev/null)" = "$stamp" ]; then
     return 0
   fi
+  if [ -L "$folder" ]; then # what lies elsewhere belongs to others too: `venv --clear` would empty it
+    echo "$folder is a link to $(readlink "$folder"), which has other versions than $*; renew it there, or remove the link" >&2
+    return 1
+  fi
   echo "making $folder ($("$python" --version), versions of $*)" >&2
   "$python" -m venv --clear "$folder" || return 1
   local locks=()
