@@ -264,7 +264,7 @@ def _separator(rng: np.random.Generator, face: Face, kind: str, x: float, width:
 
 def seals(rng: np.random.Generator, face: Face, x: float, width: float, middle: float, size: Type) -> None:
     """One or two round or hexagonal seals one above the other, of any colour, sometimes with a dash between them."""
-    d = width * uniform(rng, 0.6, 0.98)
+    d = min(width * uniform(rng, 0.45, 0.98), size.height * 0.48)
     gap = uniform(rng, 0.05, 0.25) * d
     rows = [middle - d - gap / 2, middle + gap / 2]
     if chance(rng, 0.35):

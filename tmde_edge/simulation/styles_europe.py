@@ -70,8 +70,10 @@ def _eu_face(rng: np.random.Generator, width: float, height: float, yellow: floa
 
 def style_eu1(rng: np.random.Generator) -> Face:
     patterns, hyphen, code, yellow, second = _EU[pick(rng, list(_EU))]
-    if chance(rng, 0.2):
-        hyphen = pick(rng, ("none", "bar", "dot", "emblem", "seal", "tab", "shield", "shield"))
+    pattern = pick(rng, patterns)
+    if chance(rng, 0.35):
+        hyphen = pick(rng, ("none", "bar", "dot", "emblem", "seal", "seal", "seal", "tab", "shield", "shield"))
+        pattern = pattern.replace(" ", "-", 1) if chance(rng, 0.5) else pattern
     face = _eu_face(rng, 520 if chance(rng, 0.8) else uniform(rng, 440, 525), uniform(rng, 108, 114), max(yellow, 0.05))
     left, right = bands(rng, face, code, right=second and chance(rng, 0.9))
     if chance(rng, 0.06):  # no band at all: older plates
@@ -84,7 +86,7 @@ def style_eu1(rng: np.random.Generator) -> Face:
     row_of(
         rng,
         face,
-        random_text(rng, pick(rng, patterns)),
+        random_text(rng, pattern),
         size,
         left=left + uniform(rng, 6, 16),
         right=right - uniform(rng, 6, 16),
