@@ -26,6 +26,7 @@ from tmde_edge.ranging.settings import RangingSettings
 Floats = NDArray[np.float64]
 
 _AMBIGUOUS_COST = 9.0  # a second pose within this cost of the best is kept in the mixture
+_SAME_POSE = 0.01  # angles, rad, and log distance: optima nearer than this are one
 _MISFIT_SIGMAS = 5.0  # a plate whose proportions differ this much from the learned ones is another plate
 _MISFITS_TO_RESET = 3
 _STRAIN = 1.3  # a fit under more strain asks for a second look from elsewhere
@@ -278,7 +279,7 @@ def _mixed(parts: dict[str, _Hypothesis]) -> tuple[float, float]:
 
 
 def _solutions(features: Features, model: Model, from_: list[Floats]) -> list[Fit]:
-    """The optimum, and the mirrored one where it is a second answer that the image cannot exclude."""
+    """The distinct optima that the image cannot exclude, best first: the mirrored pose, or a turn against a wrong outline."""
     found: list[Fit] = []
     for x in from_:
         # Where the heading is known no better than it is large, both solutions are one broad optimum; but a wild
@@ -289,12 +290,13 @@ def _solutions(features: Features, model: Model, from_: list[Floats]) -> list[Fi
         fit = solve(features, model, x)
         if fit is not None:
             found.append(fit)
-    found.sort(key=lambda f: f.cost)
-    if len(found) > 1:
-        same = np.abs(found[1].x[:POSE] - found[0].x[:POSE]).max() < 1e-3
-        if same or found[1].cost > found[0].cost + _AMBIGUOUS_COST:
-            found = found[:1]
-    return found
+    distinct: list[Fit] = []
+    for fit in sorted(found, key=lambda f: f.cost):
+        if distinct and fit.cost > distinct[0].cost + _AMBIGUOUS_COST:
+            break
+        if all(np.abs(fit.x[:POSE] - other.x[:POSE]).max() >= _SAME_POSE for other in distinct):
+            distinct.append(fit)
+    return distinct
 
 
 def _contradicts(answer: _Answer) -> bool:
