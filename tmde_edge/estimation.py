@@ -134,7 +134,7 @@ class Estimation:
             measured[i] = (plate, *self._measure(plate, camera, s))
         alive = {p.track_id for p in s.plates} | set(self._tracker.tracks)
         self._scales = {k: v for k, v in self._scales.items() if k in alive}
-        self._scale_changes(s)
+        self._scale_changes(s, camera)
         chosen = self._tracker.choose(s.t_ns)
         depth = self._depth(s, camera, chosen)
         lead = self._lead(s.t_ns, chosen)
@@ -166,8 +166,12 @@ class Estimation:
             self._ego = ego
 
     def _measure(self, plate: PlateSighting, camera: Camera | None, s: Sighting) -> tuple[RangeMeasurement | None, str | None]:
+        # An outline that flow alone carries repeats one old error in every frame; the vehicle's growth knows better.
+        guessed = plate.source == "flow" and not plate.refined and not plate.glyphs
+        usable = not (guessed and self._tracker.carries(plate.track_id, s.t_ns))
         if camera is None:
-            self._tracker.update(_relative_range(plate, s), _source(plate))
+            if usable:
+                self._tracker.update(_relative_range(plate, s), _source(plate))
             return None, "uncalibrated"
         correction = self._p.attitude.correction
         turn = view_from_vehicle(self._pose) if correction == "rotate" else np.eye(3)
@@ -177,7 +181,7 @@ class Estimation:
         if found is not None and not self._height_possible(plate, found, camera):
             return None, "height above the road"
         self._scales[plate.track_id] = scale
-        if found is not None:
+        if found is not None and usable:
             self._tracker.update(found, _source(plate))
         return found, reason
 
@@ -191,15 +195,16 @@ class Estimation:
             (float(x_px), float(y_px)), found.distance_m, found.sigma_m, camera, self._pose, height_m
         )  # fmt: skip
 
-    def _scale_changes(self, s: Sighting) -> None:
-        """Growth of the whole vehicle rear says v / D by itself; the plate's own growth is already in its ranges."""
+    def _scale_changes(self, s: Sighting, camera: Camera | None) -> None:
+        """Growth and place of the whole vehicle's rear; the plate's own growth is already in its ranges."""
         for change in s.scale_changes:
-            track = self._tracker.tracks.get(change.track_id)
-            dt_s = (s.t_ns - change.t_from_ns) * 1e-9
-            if track is None or dt_s <= 0 or change.ratio <= 0 or change.source == "plate":
-                continue
-            for f in track.filters:
-                f.update_inverse_ttc(-math.log(change.ratio) / dt_s, change.sigma / change.ratio / dt_s)
+            if change.source == "vehicle":
+                self._tracker.grow(change, s.t_ns)
+        for box in s.vehicles:
+            if camera is not None:
+                middle = np.array([[(box.left_px + box.right_px) / 2, (box.top_px + box.bottom_px) / 2]])
+                ray = (camera.rays(middle) @ view_from_vehicle(self._pose))[0]
+                self._tracker.place(box.track_id, float(ray[0] / ray[2]), box.sigma_px / camera.focal_px)
 
     def _depth(self, s: Sighting, camera: Camera | None, chosen: Track | None) -> DepthEstimate | None:
         if self._p.depth is None or camera is None:

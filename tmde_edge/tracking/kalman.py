@@ -4,6 +4,8 @@ State (3,): distance D (m), speed v (m/s), acceleration a (m/s2). With ego speed
 ground and the distance changes by v minus what we travelled; without it they are relative (ego travel 0).
 A fourth state is the relative error b of distances by depth: it hangs together over seconds, so readings of a network
 are no independent measurements. It is learnt while the plate is seen, and costs nothing while no depth comes.
+A fifth is D as it was at an anchor in the past (a stochastic clone: S. Roumeliotis, J. Burdick, ICRA 2002), so that
+growth of the image since then, ratio = D_anchor / D, is one exact linear measurement with all correlations.
 Process: Singer's exponentially correlated acceleration (R. A. Singer, IEEE T-AES 6(4), 1970), da/dt = -a/tau + w,
 discretised exactly, so two steps of 0.1 s are one of 0.2 s. Model "cv" is the paper's [D, v] with white acceleration.
 """
@@ -71,7 +73,8 @@ class RangeFilter:
         self, settings: TrackerSettings, *, distance_m: float, noise_m: float, ego_speed_mps: float | None = None
     ) -> None:
         self._s = settings
-        self._kf = KalmanFilter(dim_x=4, dim_z=1)
+        self._kf = KalmanFilter(dim_x=5, dim_z=1)
+        self._anchor_ns: int | None = None
         self._ego_speed_mps = ego_speed_mps
         self._rejected: list[float] = []
         self._depth_sigma = 0.0  # of the lasting error, as the readings tell it; none has come yet
@@ -81,8 +84,10 @@ class RangeFilter:
         accel = self._s.accel_sigma_mps2 if self._s.model == "singer" else 0.0
         # Vehicles ahead mostly move about as fast as we do: begin with no closing and a wide sigma.
         speed = self._ego_speed_mps or 0.0
-        self._kf.x = np.array([[distance_m], [speed], [0.0], [0.0]])
-        self._kf.P = np.diag([noise_m**2, self._s.initial_speed_sigma_mps**2, accel**2, self._depth_sigma**2])
+        self._kf.x = np.array([[distance_m], [speed], [0.0], [0.0], [distance_m]])
+        initial = (noise_m, self._s.initial_speed_sigma_mps, accel, self._depth_sigma, 0.0)
+        self._kf.P = np.diag(np.square(initial))
+        self._anchor_ns = None
 
     def predict(self, dt_s: float, ego_travel_m: float = 0.0, ego_travel_sigma_m: float = 0.0) -> None:
         """Moves the state on by dt_s >= 0; ego_travel_m is what the own vehicle covered in it."""
@@ -90,7 +95,8 @@ class RangeFilter:
             return
         sigma = self._s.accel_sigma_mps2 if self._s.model == "singer" else self._s.cv_accel_sigma_mps2
         fade = math.exp(-dt_s / self._s.depth_error_tau_s)
-        f, q = np.diag([1.0, 1.0, 1.0, fade]), np.diag([0.0, 0.0, 0.0, (1.0 - fade**2) * self._depth_sigma**2])
+        f, q = np.diag([1.0, 1.0, 1.0, fade, 1.0]), np.zeros((5, 5))
+        q[3, 3] = (1.0 - fade**2) * self._depth_sigma**2
         f[:3, :3], q[:3, :3] = transition(self._s.model, round(dt_s, 9), sigma, self._s.accel_tau_s)
         self._kf.predict(F=f, Q=q)
         if self._ego_speed_mps is not None:
@@ -119,10 +125,30 @@ class RangeFilter:
                 return Innovation(residual=y, sigma=sigma, accepted=True)
             return Innovation(residual=y, sigma=sigma, accepted=False)
         self._rejected.clear()
-        if n > 2.0:  # Huber: between 2 sigma and the gate a residual counts for less and less
-            r = (s * n / 2.0) - float(self._kf.P[0, 0])
-        self._kf.update(np.array([[distance_m]]), R=np.array([[r]]), H=np.array([[1.0, 0.0, 0.0, 0.0]]))
+        r = _huber(r, s, n)
+        self._kf.update(np.array([[distance_m]]), R=np.array([[r]]), H=np.array([[1.0, 0.0, 0.0, 0.0, 0.0]]))
         return Innovation(residual=y, sigma=sigma, accepted=True)
+
+    def set_anchor(self, t_ns: int) -> None:
+        """Remembers the present distance, with its correlations, for growth that starts now."""
+        self._kf.x[4] = self._kf.x[0]
+        self._kf.P[4, :] = self._kf.P[0, :]
+        self._kf.P[:, 4] = self._kf.P[:, 0]
+        self._anchor_ns = t_ns
+
+    def update_growth(self, ratio: float, sigma: float, t_from_ns: int) -> Innovation | None:
+        """Image size now / at the anchor says D = D_anchor / ratio; None where the anchor is of another time."""
+        if self._anchor_ns != t_from_ns:
+            return None
+        h = np.array([[1.0, 0.0, 0.0, 0.0, -1.0 / ratio]])
+        r = (float(self._kf.x[4, 0]) / ratio * sigma / ratio) ** 2
+        y = -(h @ self._kf.x).item()
+        s = (h @ self._kf.P @ h.T).item() + r
+        n = abs(y) / s**0.5
+        if n > self._s.gate_sigma:
+            return Innovation(residual=y, sigma=s**0.5, accepted=False)
+        self._kf.update(np.array([[0.0]]), R=np.array([[_huber(r, s, n)]]), H=h)
+        return Innovation(residual=y, sigma=s**0.5, accepted=True)
 
     def update_inverse_ttc(self, rate_per_s: float, sigma_per_s: float) -> Innovation:
         """Closing from scale change: rate = d(ln D)/dt = v_rel / D, free of metric knowledge."""
@@ -133,7 +159,7 @@ class RangeFilter:
         sigma = (float(self._kf.P[1, 1]) + r) ** 0.5
         if abs(y) > self._s.gate_sigma * sigma:
             return Innovation(residual=y, sigma=sigma, accepted=False)
-        self._kf.update(np.array([[z]]), R=np.array([[r]]), H=np.array([[0.0, 1.0, 0.0, 0.0]]))
+        self._kf.update(np.array([[z]]), R=np.array([[r]]), H=np.array([[0.0, 1.0, 0.0, 0.0, 0.0]]))
         return Innovation(residual=y, sigma=sigma, accepted=True)
 
     def update_depth(self, distance_m: float, sigma_m: float, age_s: float, travel_m: float) -> Innovation:
@@ -149,14 +175,13 @@ class RangeFilter:
         self._depth_sigma = relative
         r = (self._s.depth_noise * then_m) ** 2
         bias = 1.0 + float(self._kf.x[3, 0])
-        h = np.array([[*(back * bias), then_m]])
+        h = np.array([[*(back * bias), then_m, 0.0]])
         y = distance_m - then_m * bias
         s = float((h @ self._kf.P @ h.T)[0, 0]) + r
         sigma = s**0.5
         if d <= 0.0 or then_m <= 0.0 or abs(y) > self._s.gate_sigma * sigma:
             return Innovation(residual=y, sigma=sigma, accepted=False)
-        if abs(y) > 2.0 * sigma:  # Huber, as for ranges
-            r += s * (abs(y) / sigma / 2.0 - 1.0)
+        r = _huber(r, s, abs(y) / sigma)
         self._kf.update(np.array([[y + float((h @ self._kf.x)[0, 0])]]), R=np.array([[r]]), H=h)
         return Innovation(residual=y, sigma=sigma, accepted=True)
 
@@ -181,3 +206,8 @@ class RangeFilter:
     def covariance(self) -> Matrix:
         """(3, 3) of D, v, a."""
         return np.array(self._kf.P[:3, :3], dtype=np.float64)
+
+
+def _huber(r: float, s: float, n: float) -> float:
+    """Variance of a measurement of variance r whose residual of variance s is n sigmas off: beyond 2 it counts less and less."""
+    return r + s * (n / 2.0 - 1.0) if n > 2.0 else r

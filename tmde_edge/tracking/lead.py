@@ -7,9 +7,9 @@ import math
 from dataclasses import dataclass, field
 from typing import Literal
 
-from tmde_edge.messages import EgoState, RangeMeasurement
+from tmde_edge.messages import EgoState, RangeMeasurement, ScaleChange
 from tmde_edge.tracking.ego import EgoMotion
-from tmde_edge.tracking.kalman import RangeFilter
+from tmde_edge.tracking.kalman import Innovation, RangeFilter
 from tmde_edge.tracking.path import OwnPath
 from tmde_edge.tracking.settings import TrackerSettings
 
@@ -21,6 +21,8 @@ DEPTH_CARRIES_AFTER_S = 0.15  # without any other measurement for longer than th
 DEPTH_CARRIES_NS = 600_000_000  # and it does so for this long ...
 DEPTH_ADDS_S = 1.5  # ... but never more than this beyond coasting
 SEEN_AGAIN = 5  # measurements after which alerts rest on the filter with depth again
+REAR_DEPTH_M = 0.15  # how far, one sigma, the vehicle's rear lies in front of or behind the plate's plane
+CARRIES_S = 0.45  # a growth this old still stands: they come every 0.2 s
 SAME_VEHICLE_LATERAL_M = 0.9  # a new identity this near to a coasting track is that vehicle again
 
 
@@ -31,7 +33,9 @@ class Track:
     track_id: int
     filter: RangeFilter
     t_ns: int  # of the filter's state
-    measured_ns: int
+    measured_ns: int  # by its plate or by its vehicle
+    plate_ns: int  # by its plate
+    grown_ns: int | None = None  # by its vehicle, whether or not the plate was measured too
     lateral_m: float
     lateral_sigma_m: float
     scale_sigma: float
@@ -128,11 +132,13 @@ class LeadTracker:
                 ),
                 t_ns=measurement.t_ns,
                 measured_ns=measurement.t_ns,
+                plate_ns=measurement.t_ns,
                 lateral_m=measurement.lateral_m,
                 lateral_sigma_m=measurement.lateral_sigma_m,
                 scale_sigma=measurement.scale_sigma,
                 source=source,
             )
+            track.filter.set_anchor(measurement.t_ns)
             self.tracks[track.track_id] = track
             return track
         innovation = track.filter.update_range(measurement.distance_m, measurement.noise_m)
@@ -143,12 +149,12 @@ class LeadTracker:
                 track.without_depth = None
         if innovation.accepted:
             gain = track.lateral_sigma_m**2 / (track.lateral_sigma_m**2 + measurement.lateral_sigma_m**2 + 1e-9)
-            dt_s = (measurement.t_ns - track.measured_ns) * 1e-9
+            dt_s = (measurement.t_ns - track.plate_ns) * 1e-9
             gain = max(gain, 1.0 - math.exp(-dt_s / LATERAL_TAU_S))
             track.lateral_m += gain * (measurement.lateral_m - track.lateral_m)
             track.lateral_sigma_m = math.sqrt(1.0 - min(gain, 0.9)) * math.hypot(track.lateral_sigma_m, 1e-3)
             track.scale_sigma = measurement.scale_sigma
-            track.measured_ns = measurement.t_ns
+            track.measured_ns = track.plate_ns = measurement.t_ns
             track.source = source
             track.hits += 1
         track.innovations = [*track.innovations[-49:], (innovation.residual, innovation.sigma)]
@@ -156,7 +162,8 @@ class LeadTracker:
 
     def update_depth(self, track: Track, distance_m: float, sigma_m: float, reading_ns: int, t_ns: int) -> None:
         """One distance by depth as of reading_ns, taken at t_ns (the time of the track's state)."""
-        carries = (t_ns - track.measured_ns) * 1e-9 > DEPTH_CARRIES_AFTER_S
+        idle_s = (t_ns - track.measured_ns) * 1e-9
+        carries = idle_s > DEPTH_CARRIES_AFTER_S and not self.carries(track.track_id, t_ns)
         if carries and track.without_depth is None:
             track.without_depth = copy.deepcopy(track.filter)
         if carries:
@@ -166,6 +173,39 @@ class LeadTracker:
             track.depth_ns = t_ns
             if carries:
                 track.source = "depth"
+
+    def grow(self, change: ScaleChange, t_ns: int) -> None:
+        """Growth of the vehicle's rear up to now, free of metres; carries the distance where the plate is not measured."""
+        track = self.tracks.get(change.track_id)
+        if track is None or change.ratio <= 0 or t_ns <= change.t_from_ns:
+            return
+        carried = track.plate_ns < t_ns
+        if carried and not self._s.vehicle_scale:
+            for f in track.filters:
+                f.set_anchor(t_ns)
+            return
+        # What is not in the plate's plane grows by another factor: by the share of its depth in the distance.
+        depth = abs(math.log(change.ratio)) * REAR_DEPTH_M / max(track.filter.distance_m, 1.0)
+        sigma = math.hypot(change.sigma, change.ratio * depth)
+        innovation, *_ = [_grow(f, change, sigma, t_ns) for f in track.filters]
+        if innovation.accepted:
+            track.grown_ns = t_ns
+            if carried:
+                track.measured_ns, track.source = t_ns, "vehicle"
+
+    def carries(self, track_id: int, t_ns: int) -> bool:
+        """Whether the vehicle's rear carries this track's distance now, so that a plate only guessed at is not needed."""
+        track = self.tracks.get(track_id)
+        if track is None or track.grown_ns is None or not self._s.vehicle_scale:
+            return False
+        return (t_ns - track.grown_ns) * 1e-9 <= CARRIES_S
+
+    def place(self, track_id: int, lateral_ratio: float, sigma_ratio: float) -> None:
+        """Where a track's vehicle is seen (x / z in the vehicle's axes) while its plate is not measured."""
+        track = self.tracks.get(track_id)
+        if track is not None:
+            track.lateral_m = lateral_ratio * track.filter.distance_m
+            track.lateral_sigma_m = math.hypot(sigma_ratio * track.filter.distance_m, abs(lateral_ratio) * track.sigma_m)
 
     def _adopt(self, measurement: RangeMeasurement) -> Track | None:
         """A new image identity that continues a coasting track in metres takes over its state."""
@@ -218,6 +258,15 @@ class LeadTracker:
             nearest = current
         self._lead_id = nearest.track_id
         return nearest
+
+
+def _grow(state: RangeFilter, change: ScaleChange, sigma: float, t_ns: int) -> Innovation:
+    innovation = state.update_growth(change.ratio, sigma, change.t_from_ns)
+    if innovation is None:  # begun before this track was measured: the mean closing since then is all it says
+        dt_s = (t_ns - change.t_from_ns) * 1e-9
+        innovation = state.update_inverse_ttc(-math.log(change.ratio) / dt_s, sigma / change.ratio / dt_s)
+    state.set_anchor(t_ns)
+    return innovation
 
 
 def _moved(track: Track, ego: EgoState | None) -> bool:

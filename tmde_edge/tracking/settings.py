@@ -21,6 +21,7 @@ class TrackerSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     gate_rejects: Annotated[int, Meta(ge=1)] = 4  # ... unless this many in a row agree with each other
     depth_error_tau_s: Positive = 4.0  # how long an error of distances by depth lasts
     depth_noise: Positive = 0.02  # relative part of it that is new in every reading
+    vehicle_scale: bool = True  # growth of the vehicle's rear carries the distance while the plate is not measured
     coast_s: Positive = 2.0  # a track without any measurement ends after this
     drop_sigma: Positive = 0.3  # or when its sigma exceeds this part of its distance
     confirm_hits: Annotated[int, Meta(ge=1)] = 2  # ranges before a track can be the lead

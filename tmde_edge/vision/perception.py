@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from tmde_edge.messages import Frame, Mode, PlateSighting, Point, ScaleChange, Sighting
+from tmde_edge.messages import Frame, Mode, PlateSighting, Point, ScaleChange, Sighting, VehicleBox
 from tmde_edge.vision.detect.contour import box_iou
 from tmde_edge.vision.flow import FlowStep, Growth, Template, follow, grow, make_template
 from tmde_edge.vision.protocols import Image, PlateCandidate, PlateReader, PlateReading
@@ -25,6 +25,7 @@ LONGEST_STEP_NS = 1_000_000_000  # after a gap longer than this between frames n
 VELOCITY_SHARE = 0.6  # of a new step in the smoothed image velocity
 BRIDGE_HITS = 3  # sightings before flow alone may carry a plate
 MISSES = 2  # frames in a row without a sighting that end a track before it was confirmed
+REAR_LOST_NS = 250_000_000  # a vehicle whose rear flow has not followed for this long is lost
 SAME_STILL_IOU = 0.3  # finer looks at a still: overlap with a plate already read
 SAME_PLATE_IOU = 0.15  # overlap with the predicted box that makes a candidate the same plate
 
@@ -51,6 +52,7 @@ class _Track:
     template: Template | None = None  # of the last frame
     anchor: Template | None = None  # where the present scale change starts
     anchor_ns: int = 0
+    rear_ns: int = 0  # the vehicle's rear was last followed
 
 
 @dataclass(slots=True)
@@ -151,7 +153,7 @@ class Perception:
             self._count(False)
             return self._sighting(frame, "blind", (), (), False, self._mode, timing)
 
-        steps = [self._predict(track, image, step_ns) for track in self._tracks]
+        steps = [self._predict(track, image, t_ns, step_ns) for track in self._tracks]
         timing.done("flow")
         searched, candidates = self._look(image, t_ns)
         timing.done("detect")
@@ -163,13 +165,14 @@ class Perception:
         timing.done("flow")
         mode = self._mode
         self._count(any(p.source == "detector" for p in plates))
-        return self._sighting(frame, "ok" if plates else "no_plate", plates, changes, searched, mode, timing)
+        vehicles = self._vehicles({p.track_id for p in plates}, t_ns)
+        return self._sighting(frame, "ok" if plates else "no_plate", plates, changes, searched, mode, timing, vehicles)
 
     def _timer(self) -> _Timing:
         now = self._clock_ns()
         return _Timing(clock_ns=self._clock_ns, start_ns=now, last_ns=now)
 
-    def _predict(self, track: _Track, image: Image, step_ns: int) -> FlowStep | None:
+    def _predict(self, track: _Track, image: Image, t_ns: int, step_ns: int) -> FlowStep | None:
         """Moves a track to this frame: by its velocity, then by flow where that succeeds."""
         guess = track.corners_px + track.velocity_px * step_ns
         if not is_convex(guess):
@@ -180,6 +183,8 @@ class Perception:
         if step is not None and not is_convex(step.corners_px):
             step = None
         track.corners_px = guess if step is None else step.corners_px
+        if step is not None and step.rear is not None:
+            track.rear_ns = t_ns
         # drift of the flow adds up until the next detection; without flow the guess is a plate's own motion off
         track.sigma_px = float(np.hypot(track.sigma_px, step.sigma_px if step is not None else 2.0))
         return step
@@ -256,6 +261,8 @@ class Perception:
                 plates += self._report(track, reading, track.score, "detector", image)
                 continue
             track.misses += 1
+            if self._hidden(track, t_ns):  # only its vehicle is still followed
+                continue
             if steps[i] is not None and self._bridges(track) and self._inside(track, image):
                 seen = credible and reading.refined and _near(track, reading)
                 carried = reading if seen else _bare(track, reading)
@@ -338,6 +345,17 @@ class Perception:
             track.anchor = None
         return tuple(changes)
 
+    def _vehicles(self, shown: set[int], t_ns: int) -> tuple[VehicleBox, ...]:
+        """The followed rears of confirmed tracks whose plate is not seen in this frame."""
+        boxes = []
+        for track in self._tracks:
+            if track.id and track.id not in shown and track.rear_ns == t_ns:
+                x0, y0, x1, y1 = bounds(track.corners_px)
+                ring = self._flow.ring * size_px(track.corners_px)[1]
+                boxes.append(VehicleBox(track_id=track.id, left_px=x0 - ring, top_px=y0 - ring, right_px=x1 + ring,
+                                        bottom_px=y1 + ring, sigma_px=track.sigma_px))
+        return tuple(boxes)
+
     def _retire(self, image: Image, t_ns: int) -> None:
         """Ends tracks that are doubled or outside; renews the templates of the others."""
         kept: list[_Track] = []
@@ -356,8 +374,18 @@ class Perception:
 
     def _forget_old(self, t_ns: int) -> None:
         # what was not confirmed must be seen at once again: it is looked for in every frame
-        patience_ns = self._detector.lost_s * 1e9
-        self._tracks = [t for t in self._tracks if t_ns - t.seen_ns <= patience_ns and (t.id or t.misses < MISSES)]
+        self._tracks = [
+            t for t in self._tracks if (not self._hidden(t, t_ns) or self._by_vehicle(t, t_ns)) and (t.id or t.misses < MISSES)
+        ]
+
+    def _hidden(self, track: _Track, t_ns: int) -> bool:
+        """Whether the plate itself was not seen for longer than flow is believed about it."""
+        return t_ns - track.seen_ns > self._detector.lost_s * 1e9
+
+    def _by_vehicle(self, track: _Track, t_ns: int) -> bool:
+        """Whether a hidden plate's vehicle is still followed."""
+        followed = t_ns - track.rear_ns <= REAR_LOST_NS and self._bridges(track)
+        return followed and t_ns - track.seen_ns <= self._flow.carry_s * 1e9
 
     def _count(self, success: bool) -> None:
         """Strict and permissive: permissive after a run of frames without a plate, strict again on success."""
@@ -367,10 +395,12 @@ class Perception:
     def _sighting(
         self, frame: Frame, status: Literal["ok", "no_plate", "blind"], plates: tuple[PlateSighting, ...],
         changes: tuple[ScaleChange, ...], searched: bool, mode: Mode, timing: _Timing,
+        vehicles: tuple[VehicleBox, ...] = (),
     ) -> Sighting:
         return Sighting(
             t_ns=frame.t_ns, frame_index=frame.index, width_px=frame.image.shape[1], height_px=frame.image.shape[0],
-            status=status, plates=plates, scale_changes=changes, mode=mode, searched=searched, timing_ms=timing.total(),
+            status=status, plates=plates, scale_changes=changes, vehicles=vehicles, mode=mode, searched=searched,
+            timing_ms=timing.total(),
         )  # fmt: skip
 
 

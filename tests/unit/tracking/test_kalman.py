@@ -112,3 +112,57 @@ def test_inverse_ttc_pulls_the_speed() -> None:
         f.predict(1 / 30)
         f.update_inverse_ttc(-0.2, 0.01)
     assert f.range_rate_mps == pytest.approx(-4.0, abs=0.3)
+
+
+def _relative_sigma(f: RangeFilter) -> float:
+    return float(f.covariance[0, 0]) ** 0.5 / f.distance_m
+
+
+def test_growth_carries_the_distance_and_its_error() -> None:
+    """Plate for 1 s, then growth alone: the range rate stays right, the distance keeps the error it had and gains little."""
+    rng = np.random.default_rng(4)
+    dt, noise = 1 / 30, 0.05
+    z_growth, z_coast = [], []
+    for _ in range(200):
+        t, true_d, v, a = 0.0, 20.0, rng.normal(0, 2), 0.0
+        f, blind = (RangeFilter(S, distance_m=true_d + rng.normal(0, noise), noise_m=noise) for _ in range(2))
+        f.set_anchor(0)
+        anchor_d, anchor_ns = true_d, 0
+        for k in range(1, 91):
+            a += -a * dt / 2.0 + rng.normal(0, (2 * 1.2**2 / 2.0 * dt) ** 0.5)
+            true_d, v, t = true_d + v * dt, v + a * dt, t + dt
+            f.predict(dt)
+            blind.predict(dt)
+            if k <= 30:
+                measured = true_d + rng.normal(0, noise)
+                f.update_range(measured, noise)
+                blind.update_range(measured, noise)
+            if k % 6 == 0:
+                ratio = anchor_d / true_d
+                seen = f.update_growth(ratio + rng.normal(0, 1e-3), 1e-3, anchor_ns)
+                assert seen is not None
+                f.set_anchor(k)
+                anchor_d, anchor_ns = true_d, k
+        z_growth.append((f.distance_m - true_d) / float(f.covariance[0, 0]) ** 0.5)
+        z_coast.append((blind.distance_m - true_d) / float(blind.covariance[0, 0]) ** 0.5)
+        assert _relative_sigma(f) < 0.3 * _relative_sigma(blind)
+    for z in (np.array(z_growth), np.array(z_coast)):
+        assert 0.75 < z.std() < 1.25
+        assert abs(z.mean()) < 0.3
+
+
+def test_growth_since_another_time_says_nothing() -> None:
+    f = RangeFilter(S, distance_m=20.0, noise_m=0.1)
+    f.set_anchor(5)
+    assert f.update_growth(1.1, 0.001, 4) is None
+    assert f.distance_m == 20.0
+
+
+def test_repeated_growth_from_one_good_range_never_sharpens_it() -> None:
+    """All of these distances hang on the same first range: its error stays."""
+    f = RangeFilter(S, distance_m=20.0, noise_m=0.4)
+    for k in range(60):
+        f.set_anchor(k)
+        f.predict(0.2)
+        f.update_growth(1.0, 1e-4, k)
+    assert float(f.covariance[0, 0]) ** 0.5 > 0.39

@@ -58,10 +58,10 @@ class EchoReader:
         ]
 
 
-def _perception(search, reader=None, *, flow=True, **detector):
+def _perception(search, reader=None, *, flow=True, carry_s=4.0, **detector):
     return Perception(
         search=search, reader=reader or EchoReader(), detector=DetectorSettings(fovea=False, **detector),
-        segmenter=SegmenterSettings(kind="paper"), flow=FlowSettings(enabled=flow), clock_ns=lambda: 0,
+        segmenter=SegmenterSettings(kind="paper"), flow=FlowSettings(enabled=flow, carry_s=carry_s), clock_ns=lambda: 0,
     )
 
 
@@ -143,7 +143,7 @@ def test_flow_bridges_a_dropout_then_the_track_ends():
 
 def test_the_same_identity_after_a_short_dropout_another_after_a_long_one():
     search = ScriptedSearch([_candidate()])
-    p = _perception(search, lost_s=0.3)
+    p = _perception(search, lost_s=0.3, carry_s=0.5)
     assert p.see(_frame(0)).plates[0].track_id == 1
     search.blindfold = True
     for i in range(1, 5):
@@ -155,6 +155,33 @@ def test_the_same_identity_after_a_short_dropout_another_after_a_long_one():
         p.see(_frame(i))
     search.blindfold = False
     assert next(s for i in range(30, 40) if (s := p.see(_frame(i))).plates).plates[0].track_id == 2
+
+
+def test_a_hidden_plates_vehicle_is_followed_on_without_a_plate_being_claimed():
+    search = ScriptedSearch([_candidate()])
+    p = _perception(search, lost_s=0.3, carry_s=3.0)
+    first = p.see(_frame(0))
+    assert first.vehicles == ()
+    search.blindfold = True
+    covered = STILL.image.copy()
+    cv2.fillConvexPoly(covered, np.rint(STILL.corners_px).astype(np.int32), (34, 36, 38))
+    later = []
+    for i in range(1, 46):
+        warp = np.array([[1 + 0.004 * i, 0, 0], [0, 1 + 0.004 * i, 0]], np.float64)
+        warp[:, 2] = STILL.corners_px.mean(axis=0) * -0.004 * i
+        later.append(p.see(_frame(i, cv2.warpAffine(covered, warp, covered.shape[1::-1], flags=cv2.INTER_CUBIC))))
+    hidden = [s for s in later if not s.plates]
+    assert len(hidden) >= 30
+    assert [len(s.vehicles) for s in hidden] == [1] * len(hidden)
+    assert hidden[-1].vehicles[0].track_id == 1
+    growth = [c for s in hidden for c in s.scale_changes if c.source == "vehicle"]
+    assert len(growth) >= 4
+    for c in growth:
+        i_from = (c.t_from_ns - first.t_ns) / STEP_NS
+        i_now = next((s.t_ns - first.t_ns) / STEP_NS for s in hidden if c in s.scale_changes)
+        assert c.ratio == pytest.approx((1 + 0.004 * i_now) / (1 + 0.004 * i_from), abs=max(4 * c.sigma, 1e-3))
+    search.blindfold = False
+    assert p.see(_frame(46)).plates[0].track_id == 1
 
 
 def test_growth_of_the_image_is_reported_over_its_base():
