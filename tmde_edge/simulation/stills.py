@@ -86,11 +86,12 @@ def render_still(
     width_px: float | None = None, lateral_m: float | None = None, yaw_rad: float = 0.0, tilt_rad: float = 0.0,
     roll_rad: float = 0.0, camera: SimCamera | None = None, seed: int = 0, body: Body | None = None,
     night: bool = False, sensor: Sensor | None = None, true_sizes: bool = False, scenery: bool = True,
+    style: RoadStyle | None = None,
 ) -> Still:
     """A vehicle with this plate at an exact place; either distance_m or width_px (face-on) says how far.
 
     yaw_rad turns the vehicle to the right, tilt_rad and roll_rad the plate in its recess. The seed chooses body,
-    colours, scenery, noise (and with true_sizes the plate's own sizes within its standard's limits).
+    colours, street (unless `style` says it), noise (and with true_sizes the plate's own sizes within its standard's limits).
     """
     if (distance_m is None) == (width_px is None):
         raise ValueError("render_still needs exactly one of distance_m and width_px")
@@ -119,8 +120,10 @@ def render_still(
     offset, _ = plate_pose(probe)
     vehicle = replace(probe, x_m=lateral_m - float(offset[0]), z_m=distance_m - float(offset[2]))
     view = View(camera, level_from_camera(camera.pitch_rad, camera.roll_rad, camera.yaw_rad))
-    style = RoadStyle(markings=TWO_LANES, skyline=str(rng.choice(["trees", "town", "hills"])), kerb=bool(rng.random() < 0.4),
-                      sky="night" if night else str(rng.choice(["day", "overcast"])), seed=int(rng.integers(4)))
+    style = style or RoadStyle(
+        markings=TWO_LANES, skyline=str(rng.choice(["trees", "town", "hills"])), kerb=bool(rng.random() < 0.4),
+        sky="night" if night else str(rng.choice(["day", "overcast"])), seed=int(rng.integers(4)),
+    )  # fmt: skip
     cards = street(rng, camera, style) if scenery else []
     clean = render(view, camera.pitch_rad, camera.roll_rad, flat_road(camera, float(rng.uniform(0, 500))), style, [vehicle],
                    cards, NIGHT if night else DAY)
