@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tmde_edge.messages import RangeMeasurement
@@ -46,6 +46,7 @@ def test_own_travel_since_the_reading_counts() -> None:
 
 
 @given(st.integers(1, 40), st.floats(5.0, 40.0))
+@settings(deadline=None)
 def test_a_lasting_error_is_never_averaged_away(count: int, distance_m: float) -> None:
     """However many readings of one network come at once, the distance is not known better than the error they share."""
     f = RangeFilter(S, distance_m=distance_m, noise_m=10.0)

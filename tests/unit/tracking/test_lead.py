@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tmde_edge.messages import EgoState, RangeMeasurement
+from tmde_edge.messages import EgoState, RangeMeasurement, ScaleChange
 from tmde_edge.tracking.lead import LeadTracker
 from tmde_edge.tracking.path import OwnPath
 from tmde_edge.tracking.settings import TrackerSettings
@@ -153,3 +153,41 @@ def test_offset_of_an_arc(sign: float) -> None:
     assert 0.05 < sigma < 0.5
     path.set_ego(None)
     assert path.offset_m(0.7, 0.1, 20.0)[0] == 0.7
+
+
+def _hidden_plate(settings: TrackerSettings) -> tuple[LeadTracker, float]:
+    """A plate ranged for 1 s at 20 m and closing at 2 m/s, then hidden for 2 s while its rear goes on growing."""
+    tracker, growth_ns, then_m, true_m = LeadTracker(settings), 0, 20.0, 20.0
+    for k in range(91):
+        t_ns = round(k / 30 * 1e9)
+        true_m = 20.0 - 2.0 * k / 30
+        tracker.predict(t_ns)
+        if k <= 30:
+            tracker.update(
+                RangeMeasurement(track_id=1, t_ns=t_ns, distance_m=true_m, sigma_m=0.2, noise_m=0.05, scale_sigma=0.01,
+                                 lateral_m=0.0, lateral_sigma_m=0.05, down_m=0.0), "plate"
+            )  # fmt: skip
+        if k and k % 6 == 0:
+            change = ScaleChange(track_id=1, t_from_ns=growth_ns, ratio=then_m / true_m, sigma=1e-3, source="vehicle")
+            tracker.grow(change, t_ns)
+            growth_ns, then_m = t_ns, true_m
+    return tracker, true_m
+
+
+def test_the_vehicle_carries_a_hidden_plates_distance() -> None:
+    tracker, true_m = _hidden_plate(TrackerSettings())
+    (track,) = tracker.tracks.values()
+    assert track.source == "vehicle"
+    assert abs(track.filter.distance_m - true_m) < 0.05
+    assert track.filter.range_rate_mps == pytest.approx(-2.0, abs=0.1)
+    assert 0.01 * true_m < track.sigma_m < 0.02 * true_m  # the plate's own scale, and little more
+    assert tracker.carries(1, track.measured_ns)
+
+
+def test_without_vehicle_scale_a_hidden_plate_coasts() -> None:
+    tracker, _ = _hidden_plate(TrackerSettings(vehicle_scale=False))
+    (track,) = tracker.tracks.values()
+    assert track.source == "plate"
+    assert (track.t_ns - track.measured_ns) * 1e-9 == pytest.approx(2.0)
+    assert track.sigma_m > 0.5
+    assert not tracker.carries(1, track.t_ns)
