@@ -123,6 +123,13 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("source", metavar="FOLDER_OR_JSONL", type=Path, help="what --report or --jsonl wrote")
     sub.add_argument("--out", metavar="FOLDER", type=Path, help="default: beside the records")
     sub.add_argument("--truth", metavar="FILE.csv", type=Path, default=argparse.SUPPRESS, help="true distances")
+    sub = verb("view", _view, "the web page: over a recording, the configured camera (-c), or the service that runs")
+    sub.add_argument("source", nargs="?", metavar="SOURCE", help="a recording as for --dry-run; played again and again")
+    sub.add_argument("--can-log", metavar="FILE", type=Path, default=argparse.SUPPRESS, help="CAN beside the recording")
+    sub.add_argument("--can-offset", metavar="SECONDS", type=float, default=argparse.SUPPRESS, help="as for --dry-run")
+    sub.add_argument("--fps", metavar="N", type=float, default=argparse.SUPPRESS, help="rate of image folders (default 30)")
+    sub.add_argument("--host", default=None, help="address to listen on (default view.host: this machine only)")
+    sub.add_argument("--port", type=int, default=None, help="port (default view.port: 8470)")
     verb("check-config", _check_config, "reads a configuration and prints every value in force")
     sub = verb("plates", _plates, "the plate standards")
     sub.add_argument("action", choices=["list", "show"])
@@ -359,6 +366,24 @@ def _report(args: argparse.Namespace) -> int:
 
     _say(args, f"report: {rebuild(args.source, args.out, args.truth)}")
     return 0
+
+
+def _view(args: argparse.Namespace) -> int:
+    import msgspec
+
+    from tmde_edge.app.view.run import view_camera, view_recording, view_service
+
+    config = _config(args)
+    given = {k: v for k, v in (("host", args.host), ("port", args.port)) if v is not None}
+    config = msgspec.structs.replace(config, view=msgspec.structs.replace(config.view, **given))
+    if args.can_log is not None and args.source is None:
+        raise UsageError("view --can-log needs a SOURCE to play it beside")
+    def say(text: str) -> None:
+        _say(args, text)
+
+    if args.source is not None:
+        return view_recording(config, _base_dir(args), args.source, args.fps, args.can_log, args.can_offset, say)
+    return view_camera(config, _base_dir(args), say) if args.config is not None else view_service(config, say)
 
 
 def _check_config(args: argparse.Namespace) -> int:

@@ -113,6 +113,18 @@ class PublishConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     socket: str = "auto"  # unix stream socket; "auto": records.sock in the service's run folder; "": none
 
 
+class ViewConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The `[view]` table: the web page of the service, and of `tmde-edge view`."""
+
+    enabled: bool = False  # in the service; `tmde-edge view` needs no switch
+    host: str = "127.0.0.1"  # this machine only; "0.0.0.0": everybody on its networks who has the token
+    port: Annotated[int, Meta(ge=0, le=65535)] = 8470
+    token: str = ""  # asked for where set, and always where host is not this machine only; "": one is made at each start
+    rate_hz: Annotated[float, Meta(gt=0, le=30)] = 8.0  # pictures a second at most, and only while somebody watches
+    width_px: Annotated[int, Meta(ge=160, le=1920)] = 800  # of the pictures sent
+    quality: Annotated[int, Meta(ge=20, le=95)] = 70  # of their JPEG
+
+
 class RuntimeConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The `[runtime]` table."""
 
@@ -143,6 +155,7 @@ class Config(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     can: CanSettings = msgspec.field(default_factory=CanSettings)
     record: RecordConfig = msgspec.field(default_factory=RecordConfig)
     publish: PublishConfig = msgspec.field(default_factory=PublishConfig)
+    view: ViewConfig = msgspec.field(default_factory=ViewConfig)
     runtime: RuntimeConfig = msgspec.field(default_factory=RuntimeConfig)
 
 

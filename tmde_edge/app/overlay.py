@@ -25,16 +25,22 @@ FONT = cv2.FONT_HERSHEY_SIMPLEX
 MIN_HEIGHT_PX = 540  # smaller pictures are enlarged, or the text would cover them
 
 
-def draw(image: Image, result: FrameResult | None, camera: Camera | None = None, error: str | None = None) -> Image:
+def draw(
+    image: Image, result: FrameResult | None, camera: Camera | None = None, error: str | None = None, *,
+    width_px: int | None = None,
+) -> Image:  # fmt: skip
     """A new BGR picture with everything drawn in; pictures lower than 540 px come back enlarged by a whole factor.
 
     `camera` is the calibration (any size of the same aspect); without it no horizon is drawn. `result` None: only
-    the error line.
+    the error line. `width_px`: the picture comes back this wide, text and lines drawn after scaling.
     """
-    factor = max(1, math.ceil(MIN_HEIGHT_PX / image.shape[0]))
-    size = (image.shape[1] * factor, image.shape[0] * factor)
-    picture = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image
-    canvas = cv2.resize(picture, size, interpolation=cv2.INTER_CUBIC) if factor > 1 else picture.copy()
+    factor: float = max(1, math.ceil(MIN_HEIGHT_PX / image.shape[0])) if width_px is None else width_px / image.shape[1]
+    size = (round(image.shape[1] * factor), round(image.shape[0] * factor))
+    if factor < 1:
+        image_shown = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    else:
+        image_shown = cv2.resize(image, size, interpolation=cv2.INTER_CUBIC) if factor > 1 else image.copy()
+    canvas = cv2.cvtColor(image_shown, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image_shown
     pen = _Pen(np.ascontiguousarray(canvas, dtype=np.uint8), factor)
     if result is not None:
         if camera is not None and result.pose.source != "none":
@@ -52,7 +58,7 @@ def draw(image: Image, result: FrameResult | None, camera: Camera | None = None,
 class _Pen:
     """Draws in source pixels on an enlarged canvas; text sizes follow the canvas, 1 being right for 720 rows."""
 
-    def __init__(self, canvas: Image, factor: int) -> None:
+    def __init__(self, canvas: Image, factor: float) -> None:
         self.canvas = canvas
         self.factor = factor
         self.height_px, self.width_px = canvas.shape[:2]
