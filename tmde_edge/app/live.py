@@ -62,7 +62,7 @@ class BusPort(Protocol):
 
 
 class Outlet(Protocol):
-    """Where local programs read the records (app/publish.py)."""
+    """Where the records go: local programs (app/publish.py), the web page (app/view)."""
 
     def frame(self, result: FrameResult, sighting: Sighting) -> None:
         """One decided frame; never blocks."""
@@ -99,7 +99,7 @@ class LiveLoop:
         *,
         notifier: Notifier | None = None,
         log: BackgroundLog | None = None,
-        outlet: Outlet | None = None,
+        outlets: Sequence[Outlet] = (),
         on_alert: Callable[[Alert], None] | None = None,
         on_frame: Callable[[Frame], None] | None = None,
         on_result: Sequence[Callable[[FrameResult], None]] = (),
@@ -121,7 +121,7 @@ class LiveLoop:
         self._estimation = estimation
         self._notifier = notifier or Notifier({})
         self._log_to = log
-        self._outlet = outlet
+        self._outlets = tuple(outlets)
         self._on_alert = on_alert
         self._on_frame = on_frame
         self._on_result = tuple(on_result)
@@ -221,8 +221,9 @@ class LiveLoop:
                 self._last = output
                 if self._on_alert is not None:
                     self._on_alert(output.alert)
-                if self._outlet is not None and isinstance(event, Sighting):
-                    self._outlet.frame(output, event)
+                if isinstance(event, Sighting):
+                    for outlet in self._outlets:
+                        outlet.frame(output, event)
                 for listener in self._on_result:
                     listener(output)
         if self._log_to is not None:
@@ -250,8 +251,10 @@ class LiveLoop:
             self._shed(now_ns)
             self._notifier.status(self.status_text(now_ns))
             self._status_ns = now_ns
-            if self._outlet is not None:
-                self._outlet.service(self.service_values(now_ns))
+            if self._outlets:
+                values = self.service_values(now_ns)
+                for outlet in self._outlets:
+                    outlet.service(values)
 
     def _shed(self, now_ns: int) -> None:
         """Takes the board's pulse once a second and does less, or more again."""

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from tmde_edge.adapters.cameras.live_camera import LiveCamera
 from tmde_edge.adapters.can_ports.bus import CanPort
@@ -35,6 +36,10 @@ from tmde_edge.errors import DeviceError
 from tmde_edge.messages import CanFrame, DepthReading, Frame, Sighting
 from tmde_edge.plates.standard import select
 from tmde_edge.ranging.budget import one_line
+
+if TYPE_CHECKING:  # the page's library is loaded only where the page is on
+    from tmde_edge.app.view.hub import Hub
+    from tmde_edge.app.view.server import ViewServer
 
 _log = logging.getLogger(__name__)
 
@@ -92,6 +97,11 @@ def serve(
         outlet = _outlet(config)
         if outlet is not None:
             stack.callback(outlet.close)
+        page = _page(config)
+        if page is not None:
+            page[0].start()
+            page[1].start()
+            stack.callback(page[1].close)
         command = None
         if config.alerts.command:
             command = AlertCommand(config.alerts.command, config.alerts.command_timeout_s)
@@ -101,6 +111,8 @@ def serve(
         teller = Teller()
 
         def see(frame: Frame) -> Sighting:
+            if page is not None:
+                page[0].look(frame)
             eyes.thin_searches(shedder.search_factor if shedder is not None else 1)
             return eyes.see(frame)
 
@@ -110,7 +122,7 @@ def serve(
             estimation,
             notifier=Notifier(),
             log=log,
-            outlet=outlet,
+            outlets=[o for o in (outlet, page[0] if page is not None else None) if o is not None],
             on_alert=command.take if command is not None else None,
             on_frame=depth.submit if depth is not None else None,
             on_result=(teller.take,),
@@ -175,6 +187,21 @@ def _outlet(config: Config) -> Publisher | None:
             raise
         _log.warning("%s; nobody can look in", error)
         return None
+
+
+def _page(config: Config) -> tuple[Hub, ViewServer] | None:
+    """The web page where it is wanted; a port that is taken costs the page, not the service."""
+    if not config.view.enabled:
+        return None
+    from tmde_edge.app.view.run import build_page
+
+    try:
+        hub, server = build_page(config, config.camera.device)
+    except DeviceError as error:
+        _log.error("the web page is off: %s", error)
+        return None
+    _log.info("the web page is at %s", server.url)
+    return hub, server
 
 
 def _depth(

@@ -35,7 +35,7 @@ Point = list[float | int | None]
 
 
 class Hub:
-    """`frame`, `decided` and `service` for the pipeline; the rest for the server. Construct, start(), close()."""
+    """`look`, `frame` and `service` for the pipeline; the rest for the server. Construct, start(), close()."""
 
     def __init__(
         self, camera: Camera | None, height_m: float | None, *, rate_hz: float, width_px: int, quality: int,
@@ -88,7 +88,7 @@ class Hub:
 
     # -- from the pipeline ----------------------------------------------------------------------------------------------
 
-    def frame(self, frame: Frame) -> None:
+    def look(self, frame: Frame) -> None:
         """A frame that is about to be looked at; kept only while somebody watches."""
         if not self._watchers:
             return
@@ -97,7 +97,7 @@ class Hub:
             while len(self._frames) > KEPT_FRAMES:
                 del self._frames[min(self._frames)]
 
-    def decided(self, result: FrameResult, sighting: Sighting) -> None:
+    def frame(self, result: FrameResult, sighting: Sighting) -> None:
         """What was decided for a frame. Returns at once."""
         lead = result.lead
         values = (lead.distance_m, lead.sigma_m, lead.range_rate_mps, lead.ttc_s) if lead is not None else (None,) * 4
@@ -203,11 +203,11 @@ class Hub:
             if ok:
                 self.jpeg = data.tobytes()
                 self.picture_number += 1
-            self._look(frame.image, result)
+            self._judge(frame.image, result)
         if sighting is not None:
             self._publish({"record": frame_record(result, sighting, sighting.timing_ms), "aim": self._aim})
 
-    def _look(self, image: NDArray[np.uint8], result: FrameResult) -> None:
+    def _judge(self, image: NDArray[np.uint8], result: FrameResult) -> None:
         """The aiming aid, at its own low rate."""
         now_s = self._clock_s()
         if 0 <= now_s - self._aim_s < 1.0 / AIM_HZ:

@@ -57,14 +57,6 @@ class Silent:
         """Nothing goes out."""
 
 
-class _Outlet:
-    """The hub as the live loop's outlet."""
-
-    def __init__(self, hub: Hub) -> None:
-        self.frame = hub.decided
-        self.service = hub.service
-
-
 def view_recording(
     config: Config, base_dir: Path, source: str, fps: float, can_log: Path | None, can_offset_s: float, say: Callable[[str], None]
 ) -> int:
@@ -97,8 +89,8 @@ def _play(steps: Iterable[Step], hub: Hub, stop: threading.Event) -> None:
         if stop.wait(start_s + t_s - now_s):
             return
         if step.frame is not None and step.result is not None and step.sighting is not None:
-            hub.frame(step.frame)
-            hub.decided(step.result, step.sighting)
+            hub.look(step.frame)
+            hub.frame(step.result, step.sighting)
 
 
 def view_camera(config: Config, base_dir: Path, say: Callable[[str], None]) -> int:
@@ -108,7 +100,7 @@ def view_camera(config: Config, base_dir: Path, say: Callable[[str], None]) -> i
     hub, server = build_page(config, config.camera.device)
     loop = LiveLoop(
         build_camera(config, base_dir), build_eyes(config, time.perf_counter_ns).see, build_estimation(config, base_dir),
-        outlet=_Outlet(hub), on_frame=hub.frame, tick_hz=config.runtime.tick_hz,
+        outlets=(hub,), on_frame=hub.look, tick_hz=config.runtime.tick_hz,
     )  # fmt: skip
     for name in (signal.SIGTERM, signal.SIGINT):
         signal.signal(name, lambda *_: loop.stop())

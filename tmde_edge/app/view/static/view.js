@@ -1,6 +1,6 @@
 "use strict";
 // Numbers come as server-sent events, the picture as an MJPEG <img>; both stop while nobody looks at the tab.
-const SPAN_S = 60, STALE_MS = 3000;
+const LONGEST_S = 60, SHORTEST_S = 15, STALE_MS = 3000;
 const at = (id) => document.getElementById(id);
 let stream = null, points = [], limits = {}, heard = 0, drawn = 0, times = [];
 
@@ -41,7 +41,7 @@ function show(state) {
     if (record.t < drawn) points = [];
     drawn = record.t;
     points.push([record.t, lead && lead.distance_m, lead && lead.sigma_m, lead && lead.range_rate_mps, lead && lead.ttc_s, ["none", "caution", "warning"].indexOf(level)]);
-    while (points.length && points[0][0] < record.t - SPAN_S) points.shift();
+    while (points.length && points[0][0] < record.t - LONGEST_S) points.shift();
     times.push(Date.now());
     while (times[0] < Date.now() - 3000) times.shift();
   }
@@ -100,9 +100,10 @@ function chart(id, label, column, sigma, lines, top) {
   c.clearRect(0, 0, w, h);
   c.font = "11px system-ui, sans-serif";
   const end = points.length ? points[points.length - 1][0] : 0;
+  const span = Math.min(LONGEST_S, Math.max(SHORTEST_S, points.length ? end - points[0][0] : 0));
   const values = points.map((p) => p[column]).filter((v) => v !== null && v !== undefined);
   const high = top || Math.max(5, ...values) * 1.1;
-  const x = (t) => right - (end - t) / SPAN_S * (right - left), y = (v) => down - Math.min(Math.max(v, 0), high) / high * (down - up);
+  const x = (t) => right - (end - t) / span * (right - left), y = (v) => down - Math.min(Math.max(v, 0), high) / high * (down - up);
   for (let k = 0; k + 1 < points.length; k++) {
     if (!points[k][5]) continue;
     c.fillStyle = points[k][5] === 2 ? "#d83a3a44" : "#e09a1a44";
@@ -115,7 +116,7 @@ function chart(id, label, column, sigma, lines, top) {
     c.fillText(String(v), left - 4, y(v) + 4);
   }
   c.textAlign = "center";
-  for (let s = 0; s <= SPAN_S; s += 15) c.fillText("-" + s + " s", Math.max(x(end - s), left + 10) - (s ? 0 : 10), h - 3);
+  for (let s = 0; s <= span; s += span > 30 ? 15 : 5) c.fillText(s ? "-" + s + " s" : "now", Math.max(x(end - s), left + 10) - (s ? 0 : 10), h - 3);
   c.textAlign = "left";
   c.fillText(label, left + 2, 11);
   for (const [name, v] of Object.entries(lines)) {
