@@ -164,8 +164,11 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--seconds", type=float, default=60.0, metavar="N", help="how long to listen for collisions (default 60)")
     sub.add_argument("--empty-bus", action="store_true", help="a bus without any traffic is right (a display of our own)")
     sub = verb("bench", _bench, "how fast here: p50, p95, p99 of each stage by resolution")
-    sub.add_argument("what", nargs="?", choices=["detect"], default="detect")
+    sub.add_argument("what", nargs="?", choices=["all", "detect"], default="all", help="detect: perception alone")
     sub.add_argument("--json", action="store_true", help="rows as JSON lines")
+    sub.add_argument("--compare", metavar="FILE", type=Path, default=None, help="an earlier run's --json; exit 1 where slower")
+    sub = verb("completion", _completion, "completion for your shell: see docs/quickstart.md")
+    sub.add_argument("shell", choices=["bash", "zsh"])
     return parser
 
 
@@ -526,11 +529,25 @@ def _can(args: argparse.Namespace) -> int:
 def _bench(args: argparse.Namespace) -> int:
     from tmde_edge.app import bench
 
-    config = bench.one_thread(_config(args))
+    old = bench.read_rows(args.compare) if args.compare is not None else None
     if not args.json:
-        print(bench.header())
-    for row in bench.bench_detect(config, lambda text: _say(args, text)):
+        print(f"{bench.machine()}\n\n{bench.header()}", flush=True)
+    rows = []
+    for row in (bench.bench_all if args.what == "all" else bench.bench_detect)(_config(args), lambda text: _say(args, text)):
+        rows.append(row)
         print(json.dumps(row.as_dict()) if args.json else bench.line(row), flush=True)
+    if old is None:
+        return 0
+    lines, worse = bench.compared(old, rows)
+    for text in lines:
+        print(text, file=sys.stderr if args.json else sys.stdout)
+    return 1 if worse else 0
+
+
+def _completion(args: argparse.Namespace) -> int:
+    from tmde_edge.app.completion import script
+
+    print(script(_parser(), args.shell))
     return 0
 
 

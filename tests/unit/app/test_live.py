@@ -419,7 +419,7 @@ class Outlet:
 
 def test_every_result_is_published_and_every_alert_told(recording: Path) -> None:
     outlet, alerts = Outlet(), []
-    loop = LiveLoop(play(recording), see, Deciding(), outlet=outlet, on_alert=alerts.append)
+    loop = LiveLoop(play(recording), see, Deciding(), outlets=[outlet], on_alert=alerts.append)
     loop.run(Bus())
     assert outlet.frames == list(range(loop.counters.sightings))
     assert [a.level for a in alerts[:5]] == ["none"] * 4 + ["warning"]

@@ -29,7 +29,7 @@ HISTORY_S = 60.0
 HISTORY_HZ = 10.0
 KEPT_FRAMES = 4  # frames that wait for their decision
 AIM_HZ = 4.0
-NICE = 10  # of the page's own thread: the pipeline goes first
+NICE = 5  # of the page's own thread: the pipeline goes first
 LEVELS = ("none", "caution", "warning")
 Point = list[float | int | None]
 
