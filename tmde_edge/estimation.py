@@ -35,6 +35,7 @@ from tmde_edge.messages import (
 )
 from tmde_edge.pose.attitude import AttitudeEstimator
 from tmde_edge.pose.compensate import cosine_ratio, plate_height_possible, view_from_vehicle
+from tmde_edge.pose.resting import RestingPose
 from tmde_edge.ranging.depth_scale import DepthAligner
 from tmde_edge.ranging.ranger import Ranger
 from tmde_edge.ranging.scale_memory import TrackScale
@@ -81,6 +82,11 @@ class Estimation:
         self._tick_faults: tuple[str, ...] = ()
         self._temperature_c: float | None = None
         self._frame_times_ns: list[int] = []
+
+    @property
+    def resting(self) -> RestingPose:
+        """What driving has taught about the camera's mounting, to be kept over restarts."""
+        return self._p.attitude.resting
 
     def step(self, event: Event) -> tuple[Output, ...]:
         """Takes one event in time order and returns what follows from it."""

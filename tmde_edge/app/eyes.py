@@ -8,10 +8,13 @@ from dataclasses import replace
 from tmde_edge.geometry.pinhole import Camera
 from tmde_edge.messages import Frame, LaneSighting, Point, Pose, Sighting
 from tmde_edge.pose.compensate import vanishing_point_px
+from tmde_edge.pose.edges import Image
 from tmde_edge.pose.lanes import LaneFinder
 from tmde_edge.pose.settings import PoseSettings
 from tmde_edge.pose.tilt import TiltMeter
 from tmde_edge.vision.perception import EARLY_NS, Perception
+
+Horizon = Callable[[Image, "Point | None"], "LaneSighting | None"]  # a picture and where its horizon is expected
 
 
 class Eyes:
@@ -23,11 +26,16 @@ class Eyes:
         pose: PoseSettings,
         prior_px: Callable[[int, int], Point | None],
         clock_ns: Callable[[], int],
+        horizon: Horizon | None = None,
     ) -> None:
+        """`horizon` stands in where no lanes are found."""
         self._perception = perception
-        self._lanes = LaneFinder(pose) if pose.method != "none" else None
+        self._lanes = LaneFinder(pose) if pose.method in ("robust", "paper") else None
+        self._horizon = horizon if pose.method != "none" else None
         self._tilt = TiltMeter()
         self._period_ns = round(1e9 / pose.rate_hz)
+        self._horizon_period_ns = round(1e9 / pose.network_rate_hz)
+        self._asked_ns: int | None = None  # when the horizon network was last asked
         self._prior_px = prior_px
         self._clock_ns = clock_ns
         self._looked_ns: int | None = None
@@ -35,15 +43,19 @@ class Eyes:
     def see(self, frame: Frame) -> Sighting:
         """The next frame of a drive, in order of time."""
         sighting = self._perception.see(frame)
-        if self._lanes is None or sighting.status == "blind":
+        if (self._lanes is None and self._horizon is None) or sighting.status == "blind":
             return sighting
         start_ns = self._clock_ns()
         prior = self._prior_px(frame.image.shape[1], frame.image.shape[0])
         tilt = self._tilt.see(frame.image, frame.t_ns, prior)
         lanes: LaneSighting | None = None
-        if self._looked_ns is None or not -EARLY_NS <= frame.t_ns - self._looked_ns < self._period_ns - EARLY_NS:
+        if _due(self._looked_ns, frame.t_ns, self._period_ns):
             self._looked_ns = frame.t_ns
-            lanes = self._lanes.see(frame.image, frame.t_ns, prior)
+            if self._lanes is not None:
+                lanes = self._lanes.see(frame.image, frame.t_ns, prior)
+            if lanes is None and self._horizon is not None and _due(self._asked_ns, frame.t_ns, self._horizon_period_ns):
+                self._asked_ns = frame.t_ns
+                lanes = self._horizon(frame.image, prior)
         took_ms = (self._clock_ns() - start_ns) * 1e-6
         timing = dict(sighting.timing_ms)
         timing["pose"] = took_ms
@@ -57,6 +69,11 @@ class Eyes:
     def see_still(self, frame: Frame) -> Sighting:
         """A picture by itself."""
         return self._perception.see_still(frame)
+
+
+def _due(last_ns: int | None, t_ns: int, period_ns: int) -> bool:
+    """True where a period has passed, or time went back."""
+    return last_ns is None or not -EARLY_NS <= t_ns - last_ns < period_ns - EARLY_NS
 
 
 def calibrated_prior(

@@ -23,6 +23,7 @@ from tmde_edge.app.background_log import BackgroundLog
 from tmde_edge.app.board import BoardWatch, limit_processor, raise_priority
 from tmde_edge.app.depth_keeper import DepthKeeper
 from tmde_edge.app.live import BusPort, LiveLoop
+from tmde_edge.app.pose_state import PoseKeeper, load_resting
 from tmde_edge.app.publish import Publisher, socket_path
 from tmde_edge.app.recorder import make_recorder
 from tmde_edge.app.sdnotify import Notifier
@@ -87,8 +88,14 @@ def serve(
     if runtime.cpu_affinity and (failed := limit_processor(runtime.cpu_affinity)) is not None:
         _log.warning("%s", failed)
     eyes = build_eyes(config, time.perf_counter_ns)
-    estimation = build_estimation(config, base_dir)
+    pose_file = base_dir / config.pose.state_file if config.pose.state_file else None
+    resting = load_resting(pose_file, config) if pose_file is not None else None
+    estimation = build_estimation(config, base_dir, resting)
     with ExitStack() as stack:
+        if pose_file is not None:
+            keeper = PoseKeeper(pose_file, config, lambda: estimation.resting)
+            keeper.start()
+            stack.callback(keeper.close)
         board = BoardWatch()
         board.start()
         stack.callback(board.close)
@@ -106,7 +113,7 @@ def serve(
         if config.alerts.command:
             command = AlertCommand(config.alerts.command, config.alerts.command_timeout_s)
             stack.callback(command.close)
-        recorder = make_recorder(config, log_config(config, base_dir))
+        recorder = make_recorder(config, log_config(config, base_dir, resting))
         log = BackgroundLog(recorder, keep_frames=recorder.keeps_frames) if recorder is not None else None
         teller = Teller()
 

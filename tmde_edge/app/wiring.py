@@ -22,19 +22,22 @@ from tmde_edge.adapters.depth.manifest import find_model, models_folder
 from tmde_edge.adapters.depth.paced import Network, PacedDepth
 from tmde_edge.adapters.depth.recorded import RecordedDepth
 from tmde_edge.adapters.detectors.platenet import PlateNet
+from tmde_edge.app import pose_state
 from tmde_edge.app.dry_run import DepthSource
-from tmde_edge.app.eyes import Eyes, calibrated_prior
+from tmde_edge.app.eyes import Eyes, Horizon, calibrated_prior
 from tmde_edge.app.measure import measure_images
 from tmde_edge.app.records import Record
 from tmde_edge.app.replay import Outcome, replay
 from tmde_edge.canbus.alert_tx import AlertTransmitter
 from tmde_edge.canbus.ego_rx import EgoReceiver
 from tmde_edge.config import Config, from_tree, to_tree
-from tmde_edge.errors import ConfigError
+from tmde_edge.errors import ConfigError, InputDataError
 from tmde_edge.estimation import Estimation, Parts
-from tmde_edge.messages import Pose
+from tmde_edge.messages import LaneSighting, Point, Pose
 from tmde_edge.plates.standard import select
 from tmde_edge.pose.attitude import AttitudeEstimator
+from tmde_edge.pose.edges import Image
+from tmde_edge.pose.resting import RestingPose
 from tmde_edge.ranging.depth_scale import DepthAligner
 from tmde_edge.ranging.ranger import Ranger
 from tmde_edge.vision.detect.contour import ContourFinder
@@ -78,11 +81,27 @@ def build_eyes(config: Config, clock_ns: Callable[[], int]) -> Eyes:
     perception = Perception(
         search=search, reader=reader, detector=d, segmenter=config.segmenter, flow=config.flow, clock_ns=clock_ns
     )
-    return Eyes(perception, config.pose, calibrated_prior(c.camera(), c.pitch_rad, c.roll_rad, c.yaw_rad), clock_ns)
+    prior_px = calibrated_prior(c.camera(), c.pitch_rad, c.roll_rad, c.yaw_rad)
+    return Eyes(perception, config.pose, prior_px, clock_ns, build_horizon(config))
 
 
-def build_estimation(config: Config, base_dir: Path) -> Estimation:
-    """The deciding part. Raises ConfigError (plates, DBC)."""
+def build_horizon(config: Config) -> Horizon | None:
+    """The horizon network, where it is wanted and the camera is calibrated. Raises ModelError."""
+    camera = config.camera.camera()
+    if camera is None or not config.pose.network or config.pose.method == "none":
+        return None
+    from tmde_edge.adapters.detectors.horizonnet import HorizonNet
+
+    net = HorizonNet()
+
+    def see(image: Image, expected_px: Point | None) -> LaneSighting | None:
+        return net.see(image, camera.scaled_to(image.shape[1], image.shape[0]).fx_px, expected_px)
+
+    return see
+
+
+def build_estimation(config: Config, base_dir: Path, resting: RestingPose | None = None) -> Estimation:
+    """The deciding part; `resting` is what earlier drives taught about the mounting. Raises ConfigError (plates, DBC)."""
     camera = config.camera.camera()
     decoder = load_vehicle_decoder(config.can, base_dir) if config.can.enabled else None
     receiver = EgoReceiver(decoder, config.can) if decoder is not None else None
@@ -92,7 +111,7 @@ def build_estimation(config: Config, base_dir: Path) -> Estimation:
             to_bumper_m=config.camera.to_bumper_m,
             camera_height_m=config.camera.height_m,
             ranger=Ranger(config.ranging, select(config.plates.expect)),
-            attitude=build_attitude(config),
+            attitude=build_attitude(config, resting),
             depth=DepthAligner(config.depth, config.camera.height_m) if config.depth.kind != "none" else None,
             tracker=config.tracker,
             alerts=config.alerts,
@@ -102,11 +121,11 @@ def build_estimation(config: Config, base_dir: Path) -> Estimation:
     )
 
 
-def build_attitude(config: Config) -> AttitudeEstimator:
+def build_attitude(config: Config, resting: RestingPose | None = None) -> AttitudeEstimator:
     """The attitude filter, from the pose at calibration."""
     c = config.camera
     return AttitudeEstimator(
-        config.pose, c.camera(), pitch_rad=c.pitch_rad, roll_rad=c.roll_rad, yaw_rad=c.yaw_rad
+        config.pose, c.camera(), pitch_rad=c.pitch_rad, roll_rad=c.roll_rad, yaw_rad=c.yaw_rad, resting=resting
     )  # fmt: skip
 
 
@@ -136,13 +155,16 @@ def measure_with(config: Config, paths: Sequence[Path]) -> Iterator[Record]:
         yield record
 
 
-def log_config(config: Config, base_dir: Path) -> dict[str, object]:
-    """What a drive log keeps of the configuration: every value, and the DBC, so that a replay needs nothing else."""
+def log_config(config: Config, base_dir: Path, resting: RestingPose | None = None) -> dict[str, object]:
+    """What a drive log keeps: every value, the DBC, and the resting pose it began with, so that a replay needs nothing else."""
     can = with_profile(config.can, base_dir) if config.can.enabled else config.can
     files = {}
     if can.enabled and can.vehicle.dbc:
         files[can.vehicle.dbc] = (base_dir / can.vehicle.dbc).read_bytes().decode("utf-8", errors="surrogateescape")
-    return {"values": to_tree(msgspec.structs.replace(config, can=can)), "files": files}
+    kept: dict[str, object] = {"values": to_tree(msgspec.structs.replace(config, can=can)), "files": files}
+    if resting is not None:
+        kept["resting"] = pose_state.to_tree(resting)
+    return kept
 
 
 def replay_log(path: Path) -> Outcome:
@@ -159,7 +181,11 @@ def replay_log(path: Path) -> Outcome:
                 (Path(folder) / renamed[name]).write_bytes(text.encode("utf-8", errors="surrogateescape"))
             vehicle = msgspec.structs.replace(vehicle, dbc=renamed.get(vehicle.dbc or "", vehicle.dbc))
             config = msgspec.structs.replace(config, can=msgspec.structs.replace(config.can, vehicle=vehicle))
-            return build_estimation(config, Path(folder))
+            try:
+                resting = pose_state.from_tree(kept["resting"]) if "resting" in kept else None
+            except ValueError as error:
+                raise InputDataError(f"{path}: {error}") from None
+            return build_estimation(config, Path(folder), resting)
 
         return replay(path, make)
 
