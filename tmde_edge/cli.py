@@ -163,6 +163,10 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--yes", action="store_true", help="do not ask")
     sub.add_argument("--seconds", type=float, default=60.0, metavar="N", help="how long to listen for collisions (default 60)")
     sub.add_argument("--empty-bus", action="store_true", help="a bus without any traffic is right (a display of our own)")
+    sub = verb("shadow-report", _shadow_report, "what would have been said: false-alarm candidates per 100 km and per hour")
+    sub.add_argument("folder", nargs="?", metavar="FOLDER", type=Path, help="of the recordings (default: record.folder)")
+    sub.add_argument("--html", metavar="FILE", type=Path, help="a page with the pictures")
+    sub.add_argument("--json", action="store_true", help="one JSON object")
     sub = verb("bench", _bench, "how fast here: p50, p95, p99 of each stage by resolution")
     sub.add_argument("what", nargs="?", choices=["all", "detect"], default="all", help="detect: perception alone")
     sub.add_argument("--json", action="store_true", help="rows as JSON lines")
@@ -523,6 +527,18 @@ def _can(args: argparse.Namespace) -> int:
         _say(args, note)
     if any(change.new is not None for change in changes):
         _say(args, f"to make it so: {can_transmit.restart_hint(settings, changes)}")
+
+
+def _shadow_report(args: argparse.Namespace) -> int:
+    from tmde_edge.app import shadow
+
+    report = shadow.read_shadow(args.folder or Path(_config(args).record.folder))
+    if args.html is not None:
+        try:
+            shadow.write_html(report, args.html)
+        except OSError as e:
+            raise UsageError(f"--html {args.html}: cannot be written ({e.strerror or e})") from None
+    print(json.dumps(shadow.as_json(report)) if args.json else "\n".join(shadow.lines_of(report)))
     return 0
 
 

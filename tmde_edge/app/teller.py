@@ -12,6 +12,7 @@ from typing import Any
 from tmde_edge.messages import AlertLevel, FrameResult
 
 _log = logging.getLogger(__name__)
+_LASTING_NS = 300_000_000  # a fault is told when it lasts; the camera's first frame may take as long
 _CALM_NS = 5_000_000_000  # a fault is over when it has been away for so long: one that flutters is one fault
 _SERIOUS = {"none": logging.INFO, "caution": logging.INFO, "warning": logging.WARNING}
 
@@ -22,6 +23,7 @@ class Teller:
     def __init__(self, wall_s: Callable[[], float] = time.time) -> None:
         self._wall_s = wall_s
         self._level: AlertLevel = "none"
+        self._since: dict[str, int] = {}  # faults in force: since when
         self._faults: dict[str, int] = {}  # told and not yet over: when it was seen last
         self._last: deque[dict[str, Any]] = deque(maxlen=10)
 
@@ -34,7 +36,10 @@ class Teller:
         """Logs what changed."""
         if result.alert.level != self._level:
             self._tell_alert(result)
-        for fault in result.faults:
+        self._since = {f: self._since.get(f, result.t_ns) for f in result.faults}
+        for fault, since_ns in self._since.items():
+            if fault not in self._faults and result.t_ns - since_ns < _LASTING_NS:
+                continue
             if fault not in self._faults:
                 _log.warning("fault: %s", fault, extra={"fields": {"TMDE_EVENT": "fault", "TMDE_FAULT": fault}})
             self._faults[fault] = result.t_ns
