@@ -167,6 +167,8 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("folder", nargs="?", metavar="FOLDER", type=Path, help="of the recordings (default: record.folder)")
     sub.add_argument("--html", metavar="FILE", type=Path, help="a page with the pictures")
     sub.add_argument("--json", action="store_true", help="one JSON object")
+    sub = verb("doctor", _doctor, "is this board ready: camera, CAN, models, calibration, heat, power, disk; exit 1 if not")
+    sub.add_argument("--json", action="store_true", help="one JSON object")
     sub = verb("bench", _bench, "how fast here: p50, p95, p99 of each stage by resolution")
     sub.add_argument("what", nargs="?", choices=["all", "detect"], default="all", help="detect: perception alone")
     sub.add_argument("--json", action="store_true", help="rows as JSON lines")
@@ -527,6 +529,7 @@ def _can(args: argparse.Namespace) -> int:
         _say(args, note)
     if any(change.new is not None for change in changes):
         _say(args, f"to make it so: {can_transmit.restart_hint(settings, changes)}")
+    return 0
 
 
 def _shadow_report(args: argparse.Namespace) -> int:
@@ -540,6 +543,24 @@ def _shadow_report(args: argparse.Namespace) -> int:
             raise UsageError(f"--html {args.html}: cannot be written ({e.strerror or e})") from None
     print(json.dumps(shadow.as_json(report)) if args.json else "\n".join(shadow.lines_of(report)))
     return 0
+
+
+def _doctor(args: argparse.Namespace) -> int:
+    from tmde_edge.app import doctor
+    from tmde_edge.app.status import ask, socket_path
+
+    config = _config(args)
+
+    def status() -> dict[str, Any] | None:
+        try:
+            return ask(socket_path(config.runtime.status_socket), {"request": "status"})
+        except TmdeError:
+            return None
+
+    running = status()
+    checks = doctor.examine(config, doctor.Surroundings(status=lambda: running), args.config, _base_dir(args))
+    print(doctor.as_json(checks) if args.json else "\n".join(check.line() for check in checks))
+    return 1 if any(check.state == "fail" for check in checks) else 0
 
 
 def _bench(args: argparse.Namespace) -> int:

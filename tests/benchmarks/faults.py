@@ -3,10 +3,10 @@
     python tests/benchmarks/faults.py --times 20               all kinds (about half an hour)
     python tests/benchmarks/faults.py --times 3 --only camera_gone --only disk_full
 
-The service is the real one (app/service.py) in a process of its own; only its camera, its depth network and its wall clock can be
-broken on command. CAN is a serial adapter on a pseudo-terminal. `disk_full` needs root (a small file system in a mount namespace).
-Prints a line a kind and one JSON object. Exit 1 where, after a fault ended, the service was not healthy again within 10 s, where a
-lasting fault was not told within 10 s, or where something recorded more than a second before a fault is missing.
+The service is the real one (app/service.py) in a process of its own; only its camera, its depth network and its wall clock
+can be broken on command. CAN is a serial adapter on a pseudo-terminal. `disk_full` needs root (a small file system in a mount
+namespace). Prints a line a kind and one JSON object. Exit 1 where, after a fault ended, the service was not healthy again within
+10 s, where a lasting fault was not told within 10 s, or where something recorded more than a second before a fault is missing.
 """
 
 from __future__ import annotations
@@ -79,9 +79,8 @@ class BreakableCamera:
         if self.state == "garbage":
             return Captured(t_ns=captured.t_ns, index=self._count, decode=lambda: None, fingerprint=self._count)
         image = captured.decode()
-        self._last = Captured(
-            t_ns=captured.t_ns, index=self._count, decode=lambda: image, fingerprint=zlib.crc32(image) if image is not None else None
-        )
+        mark = zlib.crc32(image.tobytes()) if image is not None else None
+        self._last = Captured(t_ns=captured.t_ns, index=self._count, decode=lambda: image, fingerprint=mark)
         return self._last
 
     def close(self) -> None:
@@ -205,7 +204,7 @@ class Service:
         ]  # fmt: skip
         inside = [sys.executable, __file__, "--child", str(folder), *settings]
         if root:
-            mount = f"mount -t tmpfs -o size=64m tmpfs {folder / 'disk'} && exec \"$@\""
+            mount = f"mount -t tmpfs -o size=400m tmpfs {folder / 'disk'} && exec \"$@\""
             inside = ["unshare", "-m", "--propagation", "private", "sh", "-c", mount, "sh", *inside]
         self.stderr = (folder / "stderr.txt").open("w")
         environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
@@ -305,9 +304,9 @@ def one(service: Service, name: str, parts: Any, chance: random.Random) -> dict[
 
 def missing_before(log: Path, at_ns: list[int]) -> list[int]:
     """Faults before which a stretch of ticks is not on the disk."""
-    ticks = [
-        e.event.t_ns for s in segments(log) for e in DriveLogReader(s.path).entries() if isinstance(e.event, Tick)
-    ]
+    since_s = time.time() - (time.monotonic_ns() - min(at_ns, default=0)) * 1e-9 - 5.0
+    recent = [s for s in segments(log) if s.path.stat().st_mtime >= since_s]
+    ticks = [e.event.t_ns for s in recent for e in DriveLogReader(s.path).entries() if isinstance(e.event, Tick)]
     found = np.sort(np.array(ticks, np.int64))
     lost = []
     for t_ns in at_ns:
@@ -344,7 +343,7 @@ def main() -> int:
         service = Service(folder, root)
         try:
             if service.wait_healthy(60.0) is None:
-                print((folder / "stderr.txt").read_text()[-3000:], file=sys.stderr)
+                print((folder / "stderr.txt").read_text()[-3000:], service.status(), file=sys.stderr)
                 sys.exit("the service did not become healthy")
             table = kinds(service, chance)
             names = [n for n in table if (not args.only or n in args.only) and (root or n != "disk_full")]
@@ -352,13 +351,18 @@ def main() -> int:
             chance.shuffle(tries)
             results: dict[str, list[dict[str, Any]]] = {n: [] for n in names}
             lost: dict[str, int] = dict.fromkeys(names, 0)
+            gone: set[int] = set()
+            moments: list[int] = []
             for i, name in enumerate(tries):
                 result = one(service, name, table[name], chance)
                 results[name].append(result)
+                moments.append(result["at_ns"])
                 if i % 10 == 9 or i == len(tries) - 1:
-                    gone = set(missing_before(service.log_folder(), [r["at_ns"] for rs in results.values() for r in rs]))
+                    gone |= set(missing_before(service.log_folder(), moments))
+                    moments = []
                     lost = {n: sum(r["at_ns"] in gone for r in rs) for n, rs in results.items()}
-                print(f"{i + 1}/{len(tries)} {name}: told {result['told_s']}, healthy {result['healthy_s']}", file=sys.stderr)
+                note = f"told {result['told_s']}, healthy {result['healthy_s']}"
+                print(f"{i + 1}/{len(tries)} {name}: {note}", file=sys.stderr, flush=True)
                 if service.process.poll() is not None:
                     print((folder / "stderr.txt").read_text()[-3000:], file=sys.stderr)
                     print(f"the service died ({service.process.returncode}) of {name}")
@@ -369,8 +373,9 @@ def main() -> int:
                 told = [r["told_s"] for r in rs if r["told_s"] is not None]
                 worst = max((r["healthy_s"] if r["healthy_s"] is not None else 99.0 for r in rs), default=0.0)
                 found[name] = {
-                    "times": len(rs), "not_healthy_within_10_s": len(late), "not_told": len(silent), "recordings_lost": lost[name],
-                    "told_after_s_max": round(max(told), 2) if told else None, "healthy_after_s_max": round(worst, 2),
+                    "times": len(rs), "not_healthy_within_10_s": len(late), "not_told": len(silent),
+                    "recordings_lost": lost[name], "told_after_s_max": round(max(told), 2) if told else None,
+                    "healthy_after_s_max": round(worst, 2),
                     "told": sorted({f for r in rs for f in r["told"]}),
                 }  # fmt: skip
                 bad += len(late) + len(silent) + lost[name]

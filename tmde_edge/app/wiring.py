@@ -210,15 +210,22 @@ def depth_network(config: Config) -> Network:
 
 
 def build_camera(config: Config, base_dir: Path) -> LiveCamera:
-    """The live source of frames."""
+    """The live source of frames. Raises ConfigError."""
     c = config.camera
     if c.kind == "video_file":
         return PlayedFile(str(base_dir / c.device), loop=c.loop, fps=c.rate_hz, threads=threads(config))
     if c.kind == "disabled":
         return DisabledCamera()
-    return V4l2Camera(
-        V4l2Settings(
-            device=c.device, width_px=c.width_px, height_px=c.height_px, rate_hz=c.rate_hz, pixel_format=c.pixel_format,
-            exposure_us=c.exposure_us, gain=c.gain, focus=c.focus,
-        )
+    if c.kind == "gstreamer":
+        from tmde_edge.adapters.cameras.gstreamer import GstCamera
+
+        return GstCamera(c.pipeline)
+    settings = V4l2Settings(
+        device=c.device, width_px=c.width_px, height_px=c.height_px, rate_hz=c.rate_hz, pixel_format=c.pixel_format,
+        exposure_us=c.exposure_us, gain=c.gain, focus=c.focus,
     )  # fmt: skip
+    if c.kind == "picamera2":
+        from tmde_edge.adapters.cameras.pi_camera import PiCamera
+
+        return PiCamera(settings)
+    return V4l2Camera(settings)

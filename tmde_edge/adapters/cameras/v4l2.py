@@ -37,6 +37,10 @@ _COLOUR_CODES: dict[str, int | None] = {
     "RGB3": cv2.COLOR_RGB2BGR,
     "GREY": None,
 }
+# Sensor data before any image processor: libcamera's business, not ours (4 letters: packing and order of the colour filter).
+RAW_BAYER = frozenset(
+    f"{order}{bits}" for order in ("RG", "BG", "GB", "GR") for bits in ("10", "12", "14", "16")
+) | frozenset({"RGGB", "BA81", "GBRG", "GRBG", "pRAA", "pBAA", "pGAA", "pgAA", "pRCC", "pBCC", "pGCC", "pgCC", "BYR2"})
 _CONFIGURED = {"mjpg": "MJPG", "yuyv": "YUYV", "grey": "GREY"}
 
 
@@ -142,6 +146,37 @@ class V4l2Camera:
         self._buffers = []
         os.close(self._fd)
         self._fd = -1
+
+    def describe(self) -> NodeInfo:
+        """Opens the node, asks, closes it. Raises DeviceError."""
+        try:
+            self._fd = os.open(self._s.device, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
+        except OSError as error:
+            raise DeviceError(f"{self._s.device}: cannot be opened ({error.strerror})") from None
+        try:
+            caps = v4l2.Capability()
+            v4l2.ioctl(self._fd, v4l2.QUERYCAP, caps)
+            flags = caps.device_caps if caps.capabilities & v4l2.CAP_DEVICE_CAPS else caps.capabilities
+            focus_auto, exposure_auto = self._get(v4l2.CID_FOCUS_AUTO), self._get(v4l2.CID_EXPOSURE_AUTO)
+            return NodeInfo(
+                card=caps.card.decode(errors="replace"), driver=caps.driver.decode(errors="replace"),
+                formats=tuple(self._offered()), captures=bool(flags & v4l2.CAP_VIDEO_CAPTURE),
+                autofocus=None if focus_auto is None else bool(focus_auto),
+                autoexposure=None if exposure_auto is None else exposure_auto != 1, focus=self._get(v4l2.CID_FOCUS_ABSOLUTE),
+            )  # fmt: skip
+        except OSError as error:
+            raise DeviceError(f"{self._s.device}: is no camera ({error.strerror})") from None
+        finally:
+            os.close(self._fd)
+            self._fd = -1
+
+    def _get(self, control: int) -> int | None:
+        asked = v4l2.Control(id=control)
+        try:
+            v4l2.ioctl(self._fd, v4l2.G_CTRL, asked)
+        except OSError:
+            return None
+        return int(asked.value)
 
     # -- setting up ---------------------------------------------------------------------------------------------------
 
@@ -265,6 +300,25 @@ class V4l2Camera:
             decode=lambda: None if damaged else decode(data, layout),
             fingerprint=zlib.crc32(data),
         )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NodeInfo:
+    """What a node says about itself, without streaming."""
+
+    card: str
+    driver: str
+    formats: tuple[str, ...]
+    captures: bool
+    autofocus: bool | None  # None: it has no such control
+    autoexposure: bool | None
+    focus: int | None
+
+
+def describe(device: str) -> NodeInfo:
+    """Asks a node for its name, formats and locks. Raises DeviceError."""
+    camera = V4l2Camera(V4l2Settings(device=device, width_px=640, height_px=480, rate_hz=30))
+    return camera.describe()
 
 
 def stamp_ns(buffer: v4l2.Buffer, now_ns: int) -> int:

@@ -168,6 +168,7 @@ STREAMON = _code(1, 18, 4)
 STREAMOFF = _code(1, 19, 4)
 S_PARM = _code(3, 22, ctypes.sizeof(StreamParameters))
 S_CTRL = _code(3, 28, ctypes.sizeof(Control))
+G_CTRL = _code(3, 27, ctypes.sizeof(Control))
 
 
 def ioctl(fd: int, request: int, argument: Any) -> None:
