@@ -20,6 +20,7 @@ _GIVE_UP_S = 10.0  # no line for this long: open the port again
 _METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001, "ft": 0.3048}
 _NUMBER = re.compile(r"(?<![\w.])([-+]?\d+(?:\.\d+)?)\s*(mm|cm|m|ft)?(?![\w.])", re.IGNORECASE)
 _LABELLED = re.compile(r"(?:^|[^A-Za-z])[A-Za-z]{1,8}\s*[:=]\s*([-+]?\d+(?:\.\d+)?)\s*(mm|cm|m|ft)?", re.IGNORECASE)
+_COMPLAINT = re.compile(r"\s*(e|err|error)\b", re.IGNORECASE)
 _FARTHEST_M = 1000.0
 
 
@@ -42,6 +43,8 @@ def parse_line(line: str, unit: str = "m", field: int = 0) -> float | None:
         unit_after = parts[field].strip().lower() if field < len(parts) else ""  # NMEA: value, unit
         unit = unit_after if unit_after in _METRES else unit
         text = parts[field - 1].strip()
+    if _COMPLAINT.match(text):
+        return None
     match = _LABELLED.search(text) or _NUMBER.search(text)
     if match is None:
         return None
