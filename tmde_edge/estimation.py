@@ -41,6 +41,7 @@ from tmde_edge.ranging.ranger import Ranger
 from tmde_edge.ranging.scale_memory import TrackScale
 from tmde_edge.tracking.lead import LeadTracker, Source, Track
 from tmde_edge.tracking.settings import TrackerSettings
+from tmde_edge.tracking.travel_check import TravelCheck
 from tmde_edge.tracking.ttc import braking_ttc_s, plain_ttc_s, required_decel_mps2, ttc_sigma_s
 
 NOMINAL_FOCAL_PER_WIDTH = 0.9  # only to give an uncalibrated track a plausible scale: TTC does not depend on it
@@ -72,6 +73,8 @@ class Estimation:
         self._p = parts
         self._tracker = LeadTracker(parts.tracker)
         self._policy = AlertPolicy(parts.alerts)
+        self._travel = TravelCheck()
+        self._travelled_ns: dict[int, int] = {}
         self._scales: dict[int, TrackScale] = {}
         self._ego: EgoState | None = None
         self._pose = Pose(pitch_rad=0.0, roll_rad=0.0)
@@ -100,6 +103,13 @@ class Estimation:
                 self._p.depth.add_reading(event)
             return ()
         return self._on_tick(event)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a person should know of the configuration, as driving has shown it."""
+        mismatch = self._travel.mismatch
+        complaints = self._p.ego.complaints if self._p.ego is not None else ()
+        return (*complaints, *((f"calibration: {mismatch.text}",) if mismatch is not None else ()))
 
     # -- inputs -------------------------------------------------------------------------------------------------------
 
@@ -140,6 +150,8 @@ class Estimation:
             measured[i] = (plate, *self._measure(plate, camera, s))
         alive = {p.track_id for p in s.plates} | set(self._tracker.tracks)
         self._scales = {k: v for k, v in self._scales.items() if k in alive}
+        self._travelled_ns = {k: v for k, v in self._travelled_ns.items() if k in alive}
+        self._travel.forget(alive)
         self._scale_changes(s, camera)
         chosen = self._tracker.choose(s.t_ns)
         depth = self._depth(s, camera, chosen)
@@ -189,6 +201,8 @@ class Estimation:
         self._scales[plate.track_id] = scale
         if found is not None and usable:
             self._tracker.update(found, _source(plate))
+            if plate.source == "detector":
+                self._check_travel(found)
         return found, reason
 
     def _height_possible(self, plate: PlateSighting, found: RangeMeasurement, camera: Camera) -> bool:
@@ -200,6 +214,17 @@ class Estimation:
         return plate_height_possible(
             (float(x_px), float(y_px)), found.distance_m, found.sigma_m, camera, self._pose, height_m
         )  # fmt: skip
+
+    def _check_travel(self, found: RangeMeasurement) -> None:
+        """Ranges against the own travel: what stands tells whether the calibration fits."""
+        ego = self._ego
+        if ego is None:
+            self._travelled_ns.clear()
+            return
+        since_ns = self._travelled_ns.get(found.track_id, found.t_ns)
+        self._travelled_ns[found.track_id] = found.t_ns
+        travel_m = self._tracker.ego_motion.travel_m(since_ns, found.t_ns)
+        self._travel.add(found.track_id, found.t_ns, found.distance_m, found.noise_m, travel_m, ego.yaw_rate_radps)
 
     def _scale_changes(self, s: Sighting, camera: Camera | None) -> None:
         """Growth and place of the whole vehicle's rear; the plate's own growth is already in its ranges."""
@@ -288,6 +313,8 @@ class Estimation:
             faults.append("blind")
         if self._p.ego is not None and self._p.ego.lost(t_ns):
             faults.append("can_lost")
+        if self._travel.mismatch is not None:
+            faults.append("calibration")
         return tuple(dict.fromkeys(faults))
 
     def _transmit(self, t_ns: int) -> tuple[CanFrame, ...]:

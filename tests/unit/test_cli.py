@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 from pathlib import Path
 
@@ -155,3 +156,27 @@ def test_plates_list_names_every_standard(capsys: pytest.CaptureFixture[str]) ->
     assert code == 0
     assert len(out.splitlines()) >= 50
     assert "de-mittel" in out
+
+
+def test_check_config_says_what_it_read_of_the_dbc(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "car.dbc").write_text(
+        'VERSION ""\nBU_: A\nBO_ 180 SPEED: 8 A\n SG_ SPEED : 47|16@0+ (0.01,0) [0|250] "km/h" A\n\nBO_ 36 YAW: 8 A\n'
+        ' SG_ YAW : 7|10@0+ (0.244,-125) [0|250] "deg/s" A\n\nBO_ 99 OTHER: 8 A\n SG_ X : 7|8@0+ (1,0) [0|1] "" A\n'
+    )
+    config = tmp_path / "c.toml"
+    config.write_text('[can.vehicle]\ndbc = "car.dbc"\nspeed = { message = "SPEED", signal = "SPEED", unit = "km/h" }\n')
+    code, out, err = run(capsys, "check-config", "-c", str(config))
+    assert code == 0, err
+    assert "car.dbc: 1 of 3 messages read" in out + err
+
+
+def test_udp_multicast_without_its_package_is_a_clear_error(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    find = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name, *a: None if name == "msgpack" else find(name, *a))
+    config = tmp_path / "c.toml"
+    config.write_text('[can]\ninterface = "udp_multicast"\nchannel = "239.0.0.1"\n')
+    code, _, err = run(capsys, "check-config", "-c", str(config))
+    assert code == 78
+    assert "tmde-edge[udp]" in err

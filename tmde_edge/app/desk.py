@@ -27,6 +27,7 @@ from tmde_edge.app.truth import TruthComparison, read_truth
 from tmde_edge.app.wiring import build_depth, build_estimation, build_eyes, log_config, threads
 from tmde_edge.config import Config
 from tmde_edge.errors import UsageError
+from tmde_edge.estimation import Estimation
 from tmde_edge.messages import Frame
 
 
@@ -69,6 +70,7 @@ class Desk:
             self._stack.callback(self._report.close)
         self._can_out = self._stack.enter_context(CandumpWriter(options.can_out)) if options.can_out is not None else None
         self._wall_s = 0.0
+        self._estimation: Estimation | None = None
 
     @property
     def frame_count(self) -> int | None:
@@ -87,10 +89,11 @@ class Desk:
                 raise UsageError(f"{o.record}: cannot be written ({e.strerror or e})") from None
         can = CanTimeline(iter_can_log(o.can_log), o.can_offset_s) if o.can_log is not None else None
         start = time.perf_counter()
+        self._estimation = build_estimation(config, self._base_dir)
         run = dry_run(
             self._source,
             build_eyes(config, time.perf_counter_ns),
-            build_estimation(config, self._base_dir),
+            self._estimation,
             camera=config.camera.camera(),
             can=can,
             depth=build_depth(config, self._base_dir),
@@ -142,6 +145,7 @@ class Desk:
             p50, p95 = np.quantile(self._total_ms, [0.5, 0.95])
             rate = n["frames"] / self._wall_s if self._wall_s > 0 else 0.0
             lines.append(f"perception {p50:.1f} ms a frame (p95 {p95:.1f}); {rate:.1f} frames a second in all")
+        lines += self._estimation.notes if self._estimation is not None else ()
         for t_s, level, reason in self._alerts:
             lines.append(f"{t_s:8.2f} s  {level}{f' ({reason})' if reason else ''}")
         if not self._alerts:

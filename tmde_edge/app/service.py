@@ -34,7 +34,8 @@ from tmde_edge.app.teller import Teller
 from tmde_edge.app.wiring import build_camera, build_estimation, build_eyes, check_parts, depth_network, log_config
 from tmde_edge.config import Config
 from tmde_edge.errors import DeviceError
-from tmde_edge.messages import CanFrame, DepthReading, Frame, Sighting
+from tmde_edge.estimation import Estimation
+from tmde_edge.messages import CanFrame, DepthReading, Frame, FrameResult, Sighting
 from tmde_edge.plates.standard import select
 from tmde_edge.ranging.budget import one_line
 
@@ -132,7 +133,7 @@ def serve(
             outlets=[o for o in (outlet, page[0] if page is not None else None) if o is not None],
             on_alert=command.take if command is not None else None,
             on_frame=depth.submit if depth is not None else None,
-            on_result=(teller.take,),
+            on_result=(teller.take, Notes(estimation)),
             more_faults=(lambda: depth.faults) if depth is not None else None,
             board=lambda: board.state,
             hot_c=runtime.hot_c,
@@ -180,6 +181,23 @@ def _bus(config: Config, base_dir: Path, loop: LiveLoop) -> BusPort:
     decoder = load_vehicle_decoder(config.can, base_dir)
     port = CanPort(config.can, loop.on_can, decoder.filters, loop.crash)
     return port if config.can.transmit else _Silent(port)
+
+
+class Notes:
+    """Logs what driving shows of the configuration, each thing once while it lasts."""
+
+    def __init__(self, estimation: Estimation) -> None:
+        self._estimation = estimation
+        self._said: set[str] = set()
+
+    def __call__(self, result: FrameResult) -> None:
+        if result.frame_index % 30:
+            return
+        notes = {note.split(" frames of message ")[-1].split(" (")[0]: note for note in self._estimation.notes}
+        for key, note in notes.items():
+            if key not in self._said:
+                _log.warning("%s", note)
+        self._said = set(notes)
 
 
 def _outlet(config: Config) -> Publisher | None:

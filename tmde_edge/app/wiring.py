@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import shutil
 import tempfile
@@ -133,6 +134,10 @@ def check_parts(config: Config, base_dir: Path) -> list[str]:
     """Builds what can be wrong in a configuration beyond its values; returns notes for people. Raises ConfigError."""
     build_estimation(config, base_dir)
     notes = []
+    if config.can.enabled:
+        notes += [f"can.vehicle: {note}" for note in load_vehicle_decoder(config.can, base_dir).notes]
+    if config.can.enabled and config.can.interface == "udp_multicast" and importlib.util.find_spec("msgpack") is None:
+        raise ConfigError('can.interface "udp_multicast": needs the package msgpack; pip install "tmde-edge[udp]" installs it')
     command = config.alerts.command
     if command and shutil.which(command[0]) is None:
         raise ConfigError(f"alerts.command {command[0]!r}: no such program, or not executable; give its full path")
