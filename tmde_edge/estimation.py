@@ -34,7 +34,7 @@ from tmde_edge.messages import (
     Tick,
 )
 from tmde_edge.pose.attitude import AttitudeEstimator
-from tmde_edge.pose.compensate import cosine_ratio, plate_height_possible, view_from_vehicle
+from tmde_edge.pose.compensate import cosine_ratio, plate_height_possible, to_vehicle, view_from_vehicle
 from tmde_edge.pose.resting import RestingPose
 from tmde_edge.ranging.depth_scale import DepthAligner
 from tmde_edge.ranging.ranger import Ranger
@@ -47,6 +47,9 @@ from tmde_edge.tracking.ttc import braking_ttc_s, plain_ttc_s, required_decel_mp
 NOMINAL_FOCAL_PER_WIDTH = 0.9  # only to give an uncalibrated track a plausible scale: TTC does not depend on it
 NOMINAL_PLATE_M = 0.22  # square root of a plate's area, likewise
 BLIND_AFTER_S = 0.5  # no frame for this long is blindness
+USUAL_HEIGHT_M = 1.3  # of a camera whose height is not configured, for the lane's course
+LANE_YAW_SPEED_MPS = 8.0
+LANE_YAW_NS = 1_000_000_000  # neighbouring frames' lanes err alike: one a second is used
 MIN_HEADWAY_SPEED_MPS = 1.0
 
 
@@ -75,6 +78,7 @@ class Estimation:
         self._policy = AlertPolicy(parts.alerts)
         self._travel = TravelCheck()
         self._travelled_ns: dict[int, int] = {}
+        self._lane_yaw_ns = -LANE_YAW_NS
         self._scales: dict[int, TrackScale] = {}
         self._ego: EgoState | None = None
         self._pose = Pose(pitch_rad=0.0, roll_rad=0.0)
@@ -143,6 +147,7 @@ class Estimation:
         self._frame_times_ns = [*self._frame_times_ns[-30:], s.t_ns]
         self._refresh_ego(s.t_ns)
         self._pose = self._p.attitude.update(s.lanes, s.t_ns, self._ego, (s.width_px, s.height_px), s.tilt)
+        self._take_course(s)
         self._tracker.predict(s.t_ns)
         camera = self._p.camera.scaled_to(s.width_px, s.height_px) if self._p.camera is not None else None
         measured: dict[int, tuple[PlateSighting, RangeMeasurement | None, str | None]] = {}
@@ -214,6 +219,29 @@ class Estimation:
         return plate_height_possible(
             (float(x_px), float(y_px)), found.distance_m, found.sigma_m, camera, self._pose, height_m
         )  # fmt: skip
+
+    def _take_course(self, s: Sighting) -> None:
+        """The lane ahead, from pixels to metres on a flat road; its bend near us also teaches the yaw rate's zero."""
+        if s.lanes is None or len(s.lanes.course_px) < 2 or self._p.camera is None:
+            return
+        camera = self._p.camera.scaled_to(s.width_px, s.height_px)
+        height_m = self._p.camera_height_m or USUAL_HEIGHT_M
+        seen = np.array(s.lanes.course_px)
+        rays = to_vehicle(camera.rays(seen[:, :2]), self._pose)
+        below = rays[:, 1] > 2e-3
+        if below.sum() < 2:
+            return
+        z = height_m * rays[below, 2] / rays[below, 1]
+        points_m = np.column_stack([z, height_m * rays[below, 0] / rays[below, 1], seen[below, 2] / camera.fx_px * z])
+        further = np.concatenate([[True], np.diff(np.maximum.accumulate(z)) > 0])
+        self._tracker.path.set_course(s.t_ns, points_m[further])
+        ego, receiver = self._ego, self._p.ego
+        if ego is None or receiver is None or ego.speed_mps < LANE_YAW_SPEED_MPS or s.t_ns - self._lane_yaw_ns < LANE_YAW_NS:
+            return
+        curvature = self._tracker.path.near_curvature()
+        if curvature is not None:
+            self._lane_yaw_ns = s.t_ns
+            receiver.observe_lane_yaw(s.t_ns, -curvature[0] * ego.speed_mps, curvature[1] * ego.speed_mps)
 
     def _check_travel(self, found: RangeMeasurement) -> None:
         """Ranges against the own travel: what stands tells whether the calibration fits."""

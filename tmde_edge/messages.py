@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 Point: TypeAlias = tuple[float, float]
 Corners: TypeAlias = tuple[Point, Point, Point, Point]
+CoursePoint: TypeAlias = tuple[float, float, float]  # x, y and the sigma of x
 AlertLevel: TypeAlias = Literal["none", "caution", "warning"]
 Mode: TypeAlias = Literal["strict", "permissive"]
 
@@ -102,6 +103,7 @@ class LaneSighting:
     roll_sigma_rad: float | None = None
     left_bottom_px: float | None = None
     right_bottom_px: float | None = None
+    course_px: tuple[CoursePoint, ...] = ()  # our own way if we follow the lane, near to far
     source: Literal["lanes", "network"] = "lanes"
 
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 from tmde_edge.geometry.pinhole import Camera
 from tmde_edge.messages import Frame, LaneSighting, Point, Pose, Sighting
 from tmde_edge.pose.compensate import vanishing_point_px
+from tmde_edge.pose.course import find_course
 from tmde_edge.pose.edges import Image
 from tmde_edge.pose.lanes import LaneFinder
 from tmde_edge.pose.settings import PoseSettings
@@ -27,8 +28,11 @@ class Eyes:
         prior_px: Callable[[int, int], Point | None],
         clock_ns: Callable[[], int],
         horizon: Horizon | None = None,
+        focal_px: Callable[[int, int], float] | None = None,
     ) -> None:
-        """`horizon` stands in where no lanes are found."""
+        """`horizon` stands in where no lanes are found. `prior_px`, `focal_px`: of an image of a given size; without a focal length
+        no course is looked for.
+        """
         self._perception = perception
         self._lanes = LaneFinder(pose) if pose.method in ("robust", "paper") else None
         self._horizon = horizon if pose.method != "none" else None
@@ -38,6 +42,7 @@ class Eyes:
         self._asked_ns: int | None = None  # when the horizon network was last asked
         self._prior_px = prior_px
         self._clock_ns = clock_ns
+        self._focal_px = focal_px
         self._looked_ns: int | None = None
 
     def see(self, frame: Frame) -> Sighting:
@@ -56,6 +61,9 @@ class Eyes:
             if lanes is None and self._horizon is not None and _due(self._asked_ns, frame.t_ns, self._horizon_period_ns):
                 self._asked_ns = frame.t_ns
                 lanes = self._horizon(frame.image, prior)
+            if lanes is not None and self._focal_px is not None:
+                focal_px = self._focal_px(frame.image.shape[1], frame.image.shape[0])
+                lanes = replace(lanes, course_px=find_course(frame.image, lanes.vanishing_px, focal_px))
         took_ms = (self._clock_ns() - start_ns) * 1e-6
         timing = dict(sighting.timing_ms)
         timing["pose"] = took_ms

@@ -82,8 +82,10 @@ def build_eyes(config: Config, clock_ns: Callable[[], int]) -> Eyes:
     perception = Perception(
         search=search, reader=reader, detector=d, segmenter=config.segmenter, flow=config.flow, clock_ns=clock_ns
     )
-    prior_px = calibrated_prior(c.camera(), c.pitch_rad, c.roll_rad, c.yaw_rad)
-    return Eyes(perception, config.pose, prior_px, clock_ns, build_horizon(config))
+    camera = c.camera()
+    prior_px = calibrated_prior(camera, c.pitch_rad, c.roll_rad, c.yaw_rad)
+    focal_px = None if camera is None else lambda w, h: camera.scaled_to(w, h).fx_px
+    return Eyes(perception, config.pose, prior_px, clock_ns, build_horizon(config), focal_px)
 
 
 def build_horizon(config: Config) -> Horizon | None:

@@ -14,6 +14,7 @@ import numpy as np
 
 from tmde_edge.messages import (
     Corners,
+    CoursePoint,
     GlyphSighting,
     LaneSighting,
     PlateSighting,
@@ -45,6 +46,8 @@ class Eyesight:
     growth_px: float = 0.06  # error of the rear's size in it
     lane_rate_hz: float = 5.0
     lane_px: float = 3.0  # of the vanishing point
+    course_m_at_30: float = 0.15  # of the lane's place 30 m ahead
+    course_reach_m: float = 45.0
     tilt_px: float = 0.3  # of the far view's movement in one frame
 
 
@@ -171,11 +174,21 @@ def _growth(
 
 
 def _lanes(scenario: Scenario, now: Instant, e: Eyesight, rng: np.random.Generator) -> LaneSighting | None:
-    """Where the road some 30 m ahead points to."""
+    """Where the road some 30 m ahead points to, and how our lane goes on."""
     at = int(np.searchsorted(now.ahead.z_m, 30.0))
     if at < 1 or at >= len(now.ahead.z_m):
         return None
     dx = now.ahead.x_m[at] - now.ahead.x_m[at - 1]
     ahead = now.view.project(np.array([[1e6 * dx / (now.ahead.z_m[at] - now.ahead.z_m[at - 1]), 0.0, 1e6]]))[0]
     x, y = ahead + e.lane_px * rng.normal(0, 1, 2)
-    return LaneSighting(vanishing_px=(float(x), float(y)), sigma_x_px=e.lane_px, sigma_y_px=e.lane_px)
+    course: list[CoursePoint] = []
+    start = float(np.interp(0.5, now.ahead.z_m, now.ahead.x_m))
+    lasting = float(rng.normal(0, e.course_m_at_30)) / 30.0**2
+    for z in np.geomspace(6.0, e.course_reach_m, 12):
+        place = np.array([[np.interp(z, now.ahead.z_m, now.ahead.x_m) - start + lasting * z**2,
+                           np.interp(z, now.ahead.z_m, now.ahead.down_m), z]])
+        u, v = now.view.project(place)[0]
+        course.append((float(u), float(v), scenario.camera.fx_px * (e.course_m_at_30 * (z / 30.0) ** 2 + 0.05) / z))
+    return LaneSighting(
+        vanishing_px=(float(x), float(y)), sigma_x_px=e.lane_px, sigma_y_px=e.lane_px, course_px=tuple(course)
+    )

@@ -225,7 +225,7 @@ class LeadTracker:
 
     def path_offset_m(self, track: Track) -> tuple[float, float]:
         """Lateral offset of a track (right positive) from the path that speed and yaw rate predict, and its sigma."""
-        return self.path.offset_m(track.lateral_m, track.lateral_sigma_m, track.filter.distance_m)
+        return self.path.offset_m(track.t_ns, track.lateral_m, track.lateral_sigma_m, track.filter.distance_m)
 
     def _in_path(self, track: Track) -> bool:
         """With hysteresis. What stands and never moved is mostly parked: it must be in the path for certain."""

@@ -148,11 +148,11 @@ def test_offset_of_an_arc(sign: float) -> None:
     path = OwnPath()
     for k in range(40):
         path.set_ego(EgoState(t_ns=k * DT_NS, speed_mps=10.0, yaw_rate_radps=sign * 0.2))
-    offset, sigma = path.offset_m(0.0, 0.0, 20.0)
+    offset, sigma = path.offset_m(0, 0.0, 0.0, 20.0)
     assert offset == pytest.approx(sign * 0.02 * 400 / 2)
     assert 0.05 < sigma < 0.5
     path.set_ego(None)
-    assert path.offset_m(0.7, 0.1, 20.0)[0] == 0.7
+    assert path.offset_m(0, 0.7, 0.1, 20.0)[0] == 0.7
 
 
 def _hidden_plate(settings: TrackerSettings) -> tuple[LeadTracker, float]:
