@@ -30,9 +30,7 @@ class Eyes:
         horizon: Horizon | None = None,
         focal_px: Callable[[int, int], float] | None = None,
     ) -> None:
-        """`horizon` stands in where no lanes are found. `prior_px`, `focal_px`: of an image of a given size; without a focal length
-        no course is looked for.
-        """
+        """`horizon` stands in where no lanes are found; without `focal_px` (of an image's size) no course is looked for."""
         self._perception = perception
         self._lanes = LaneFinder(pose) if pose.method in ("robust", "paper") else None
         self._horizon = horizon if pose.method != "none" else None

@@ -147,5 +147,5 @@ class _Fit:
     def point(self, n: float, u0: float, v0: float) -> CoursePoint:
         """Our own way at a row: it starts where we are."""
         h = self._row(-1, n)
-        sigma = float(max(h @ self._p @ h, 0.0)) ** 0.5
+        sigma = max(float(h @ self._p @ h), 0.0) ** 0.5
         return float(u0 + n * (h @ self._x)), float(v0 + n), float(n * (sigma + 0.05))
