@@ -116,6 +116,9 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--plate", metavar="STANDARD", help="another plate standard than the scenario's own")
     sub.add_argument("--all", action="store_true", help="with --check: every scenario")
     sub.add_argument("--check", action="store_true", help="run the desk on it and judge the alerts; exit 1 on a miss")
+    sub.add_argument(
+        "--no-pictures", action="store_true", help="with --check: sightings drawn from the truth; judges no perception"
+    )
     sub.add_argument("--seeds", type=int, default=1, metavar="N", help="with --check: seeds 0 to N-1")
     sub = verb("replay", _replay, "runs a recorded drive again and compares; exit 1 where it differs")
     sub.add_argument("drive_log", metavar="DRIVE_LOG", type=Path)
@@ -341,7 +344,7 @@ def _simulate(args: argparse.Namespace) -> int:
 def _simulate_check(args: argparse.Namespace) -> int:
     import tempfile
 
-    from tmde_edge.app.simulate_check import check_scenarios
+    from tmde_edge.app.simulate_check import check_scenarios, check_without_pictures
 
     if (args.scenario is None) == (not args.all):
         raise UsageError("simulate --check needs a SCENARIO or --all")
@@ -349,7 +352,8 @@ def _simulate_check(args: argparse.Namespace) -> int:
     failed = 0
     with tempfile.TemporaryDirectory(prefix="tmde-simulate-") as scratch:
         folder = args.out if args.out is not None else Path(scratch)
-        for o in check_scenarios(folder, names=names, seeds=range(args.seeds), overrides=args.overrides):
+        run = check_without_pictures if args.no_pictures else check_scenarios
+        for o in run(folder, names=names, seeds=range(args.seeds), overrides=args.overrides):
             failed += bool(o.faults)
             verdict = f"skipped: {o.skipped}" if o.skipped else "FAILED: " + "; ".join(o.faults) if o.faults else "ok"
             warned = f"first warning at TTC {o.first_warning_ttc_s:.2f} s" if o.first_warning_ttc_s is not None else "no warning"

@@ -113,18 +113,22 @@ def simulate(
 
 
 def can_lines(scenario: Scenario) -> Iterator[str]:
-    """candump -L lines; the first at the first frame's time, speed and yaw rate with their sensors' noise."""
+    """candump -L lines; the first at the first frame's time."""
+    for t_s, can_id, data in can_frames(scenario):
+        yield f"({CAN_EPOCH_S + t_s:.6f}) can0 {can_id:03X}#{data.hex().upper()}\n"
+
+
+def can_frames(scenario: Scenario) -> Iterator[tuple[float, int, bytes]]:
+    """(t_s, id, data) of speed and yaw rate with their sensors' noise."""
     rng = np.random.default_rng((scenario.seed, 5))
     for k in range(math.ceil(scenario.duration_s * CAN_RATE_HZ)):
         t_s = k / CAN_RATE_HZ
         speed_kph = max(scenario.ego.state(t_s)[1] * 3.6 + float(rng.normal(0, 0.02)), 0.0)
         yaw_dps = math.degrees(measured_yaw_radps(scenario, t_s)) + float(rng.normal(0, 0.03))
-        stamp = f"({CAN_EPOCH_S + t_s:.6f}) can0 "
         raw = min(round(speed_kph / SPEED_SCALE_KPH), 0xFFFE)
-        yield f"{stamp}{SPEED_ID:03X}#{raw.to_bytes(2, 'big').hex().upper()}{k % 256:02X}00000000\n"
+        yield t_s, SPEED_ID, raw.to_bytes(2, "big") + bytes([k % 256, 0, 0, 0, 0])
         turn = max(min(round(yaw_dps / YAW_SCALE_DPS), 32766), -32767)
-        after = f"({CAN_EPOCH_S + t_s + 0.0004:.6f}) can0 "
-        yield f"{after}{YAW_ID:03X}#{turn.to_bytes(2, 'big', signed=True).hex().upper()}{k % 256:02X}00000000\n"
+        yield t_s + 0.0004, YAW_ID, turn.to_bytes(2, "big", signed=True) + bytes([k % 256, 0, 0, 0, 0])
 
 
 def measured_yaw_radps(scenario: Scenario, t_s: float) -> float:

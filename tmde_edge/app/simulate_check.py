@@ -10,11 +10,17 @@ from pathlib import Path
 import numpy as np
 
 from tmde_edge import config
+from tmde_edge.app.can_times import CanTimeline
 from tmde_edge.app.desk import DeskOptions, run_desk
-from tmde_edge.app.records import Record
-from tmde_edge.app.simulate import Made, Progress, list_scenarios, simulate
+from tmde_edge.app.records import Record, frame_record
+from tmde_edge.app.simulate import Made, Progress, can_frames, config_text, list_scenarios, simulate
+from tmde_edge.app.wiring import build_estimation
 from tmde_edge.errors import InputMissingError
+from tmde_edge.messages import CanFrame, FrameResult, Tick
 from tmde_edge.simulation.check import check
+from tmde_edge.simulation.drive import frame_truth
+from tmde_edge.simulation.scenarios import build
+from tmde_edge.simulation.sightings import sightings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,6 +53,46 @@ def check_scenarios(
             if not keep and not outcome.faults:
                 shutil.rmtree(place)
             yield outcome
+
+
+def check_without_pictures(
+    folder: Path, *, names: Sequence[str] = (), seeds: Sequence[int] = (0,), overrides: Sequence[str] = ()
+) -> Iterator[Outcome]:
+    """The same judgement on sightings drawn from the truth (simulation/sightings.py): tracking and warnings, not perception."""
+    for name in names or [name for name, _ in list_scenarios()]:
+        for seed in seeds:
+            try:
+                scenario = build(name, seed=seed)
+            except InputMissingError as error:
+                yield Outcome(name=name, seed=seed, faults=(), skipped=str(error))
+                continue
+            truth = tuple(frame_truth(scenario, frame) for frame in range(scenario.frame_count))
+            made = Made(scenario=scenario, folder=folder, frame_count=len(truth), truth=truth)
+            folder.mkdir(parents=True, exist_ok=True)
+            made.config.write_text(config_text(scenario), encoding="utf-8")
+            yield judge(made, list(sighting_records(made, overrides)))
+
+
+def sighting_records(made: Made, overrides: Sequence[str] = ()) -> Iterator[Record]:
+    """The records of an estimation fed with the scenario's CAN frames, ticks and sightings."""
+    scenario = made.scenario
+    loaded = config.load(made.config, overrides)
+    estimation = build_estimation(loaded, made.folder)
+    can = CanTimeline(
+        (CanFrame(t_ns=round(t_s * 1e9), can_id=i, data=data, channel="can0") for t_s, i, data in can_frames(scenario)), 0.0
+    )
+    tick_ns = round(1e9 / loaded.runtime.tick_hz)
+    next_tick_ns = 0
+    for sighting in sightings(scenario):
+        while next_tick_ns < sighting.t_ns:
+            for received in can.until(next_tick_ns):
+                estimation.step(received)
+            estimation.step(Tick(t_ns=next_tick_ns))
+            next_tick_ns += tick_ns
+        for received in can.until(sighting.t_ns):
+            estimation.step(received)
+        result = next(o for o in estimation.step(sighting) if isinstance(o, FrameResult))
+        yield frame_record(result, sighting, {})
 
 
 def desk_records(made: Made, overrides: Sequence[str] = ()) -> Iterator[Record]:

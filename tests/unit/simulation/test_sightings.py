@@ -1,0 +1,45 @@
+"""Tracking and warnings on sightings drawn from the truth: scenarios that hold nothing to look at."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tmde_edge.app.simulate_check import check_without_pictures
+from tmde_edge.simulation.drive import frame_truth
+from tmde_edge.simulation.scenarios import build
+from tmde_edge.simulation.sightings import Eyesight, sightings
+
+
+def test_what_it_sees_is_the_truth_within_its_errors() -> None:
+    scenario = build("follow")
+    eyes = Eyesight()
+    errors, found = [], 0
+    for sighting in sightings(scenario, eyes):
+        lead = frame_truth(scenario, sighting.frame_index).lead
+        for plate in sighting.plates:
+            assert lead is not None
+            assert lead.plate_corners_px is not None
+            errors.append(np.array(plate.corners_px).ravel() - np.array(lead.plate_corners_px))
+            found += 1
+        if sighting.frame_index == 60:
+            break
+    assert found > 50
+    spread = float(np.std(np.array(errors)))
+    assert 0.25 < spread < 0.6  # hypot(0.25, 0.3) px
+    assert abs(float(np.mean(np.array(errors)))) < 0.15
+
+
+@pytest.mark.parametrize("name", ["nhtsa-decelerating", "curve", "cut-in"])
+def test_the_right_alerts_without_pictures(name: str, tmp_path: Path) -> None:
+    (outcome,) = check_without_pictures(tmp_path, names=[name], seeds=[1], overrides=["runtime.threads=1"])
+    assert outcome.faults == ()
+    assert (outcome.first_warning_s is None) == (name == "curve")
+
+
+def test_a_late_warning_is_seen_by_the_judge(tmp_path: Path) -> None:
+    late = ["alerts.warning_ttc_s=1.5", "alerts.warning_decel_mps2=50.0", "runtime.threads=1"]
+    (outcome,) = check_without_pictures(tmp_path, names=["nhtsa-decelerating"], seeds=[1], overrides=late)
+    assert any("warning late" in f for f in outcome.faults)
