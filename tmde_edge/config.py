@@ -15,6 +15,7 @@ import msgspec
 from msgspec import Meta, Struct
 
 from tmde_edge.alerts.settings import AlertSettings
+from tmde_edge.calibration.priors import PRIOR_SIGMA, camera_prior
 from tmde_edge.canbus.settings import CanSettings
 from tmde_edge.errors import ConfigError
 from tmde_edge.geometry.pinhole import Camera
@@ -32,6 +33,21 @@ else:
 Positive = Annotated[float, Meta(gt=0)]
 NotNegative = Annotated[float, Meta(ge=0)]
 PositiveInt = Annotated[int, Meta(gt=0)]
+
+
+class CalibrationRecord(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The `[camera.calibration]` table: how the numbers of `[camera]` were found; for people, nothing is computed from it."""
+
+    method: Literal["plate", "chessboard", "charuco", "prior", "import"]
+    date: str  # ISO 8601, UTC
+    camera_id: str = ""
+    width_px: PositiveInt
+    height_px: PositiveInt
+    sigma: NotNegative  # relative, of the focal length
+    distances_m: list[float] = []
+    residuals: list[float] = []  # (measured - stated) / stated distance; boards: rms of each view in pixels
+    offset_m: float | None = None  # the tape began this far in front of the lens
+    note: str = ""
 
 
 class CameraConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -54,6 +70,9 @@ class CameraConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     cy_px: float | None = None
     distortion: list[float] = []  # OpenCV order k1 k2 p1 p2 [k3 ...]
     focal_sigma: NotNegative = 0.005  # relative, one sigma, of fx_px and fy_px
+    prior: str | None = None  # a known camera (`tmde-edge calibrate --camera list`): stands in for fx_px at 5 % until calibrated
+    lens_mm: Positive | None = None  # of the prior's exchangeable lens
+    calibration: CalibrationRecord | None = None  # written by `tmde-edge calibrate`: where fx_px comes from
     height_m: Positive | None = None  # of the lens above the road
     pitch_rad: Annotated[float, Meta(ge=-0.8, le=0.8)] = 0.0  # at calibration, nose down positive
     roll_rad: Annotated[float, Meta(ge=-0.8, le=0.8)] = 0.0
@@ -61,18 +80,22 @@ class CameraConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     to_bumper_m: NotNegative = 0.0  # from the lens forward to the own front bumper
 
     def camera(self) -> Camera | None:
-        """The pinhole camera of the calibrated size, or None while uncalibrated."""
-        if self.fx_px is None:
-            return None
+        """The pinhole camera of the calibrated size, by prior with its sigma, or None while uncalibrated."""
+        fx_px, sigma = self.fx_px, self.focal_sigma
+        if fx_px is None:
+            if self.prior is None:
+                return None
+            fx_px = camera_prior(self.prior).focal_px(self.width_px, self.height_px, self.lens_mm)
+            sigma = max(sigma, PRIOR_SIGMA)
         return Camera(
             width_px=self.width_px,
             height_px=self.height_px,
-            fx_px=self.fx_px,
-            fy_px=self.fx_px if self.fy_px is None else self.fy_px,
+            fx_px=fx_px,
+            fy_px=fx_px if self.fy_px is None else self.fy_px,
             cx_px=(self.width_px - 1) / 2 if self.cx_px is None else self.cx_px,
             cy_px=(self.height_px - 1) / 2 if self.cy_px is None else self.cy_px,
             distortion=tuple(self.distortion),
-            focal_sigma=self.focal_sigma,
+            focal_sigma=sigma,
         )
 
 
@@ -196,10 +219,13 @@ def from_tree(tree: dict[str, Any], where: str) -> Config:
         raise ConfigError(
             f"{where}: camera.fy_px = {camera.fy_px} without camera.fx_px; give both or run `tmde-edge calibrate`"
         )
-    if len(camera.distortion) not in (0, 4, 5, 8, 12, 14):
-        raise ConfigError(
-            f"{where}: camera.distortion has {len(camera.distortion)} values; OpenCV takes 4, 5, 8, 12 or 14"
-        )
+    if len(camera.distortion) not in (0, 4, 5, 8):
+        raise ConfigError(f"{where}: camera.distortion has {len(camera.distortion)} values; 4, 5 or 8 are known (OpenCV's order)")
+    if camera.fx_px is None and camera.prior is not None:
+        try:
+            camera.camera()
+        except ConfigError as e:
+            raise ConfigError(f"{where}: camera.prior: {e}") from None
     if config.alerts.caution_ttc_s < config.alerts.warning_ttc_s:
         raise ConfigError(
             f"{where}: alerts.caution_ttc_s = {config.alerts.caution_ttc_s} is below alerts.warning_ttc_s = "

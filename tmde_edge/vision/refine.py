@@ -36,6 +36,7 @@ class OutlineFit:
     sigma_px: float
     refined: bool
     blur_px: float | None
+    side_sigma_px: tuple[float, ...] = ()  # of the top, right, bottom and left line; empty where nothing was refined
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,6 +89,7 @@ def refine_outline(
         sigma_px=float(np.sqrt(np.mean(variances))),
         refined=len(found) == 4,
         blur_px=float(np.median([s.blur_px for s in found])),
+        side_sigma_px=tuple(float(v**0.5) for v in variances),
     )
 
 
