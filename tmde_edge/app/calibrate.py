@@ -124,7 +124,7 @@ def _plate(config: Config, base_dir: Path, o: CalibrateOptions, ask: Ask, tell: 
         distances_m=[c.capture.distance_m for c in calibration.captures],
         residuals=[round(r, 5) for r in calibration.residuals],
         offset_m=None if calibration.offset_m is None else round(calibration.offset_m, 4),
-        note=f"plate {standard.id}; " + "; ".join(p.text for p in outcome.problems) if outcome.problems else f"plate {standard.id}",
+        note="; ".join([f"plate {standard.id}", *(p.text for p in outcome.problems)]),
     )
     _write(o, camera, record, pose, tell, show)
     return 0
@@ -179,7 +179,7 @@ def plate_lines(outcome: PlateOutcome) -> list[str]:
     lines = []
     c = outcome.calibration
     if c is not None:
-        lines.append(f"{'capture':24} {'distance':>9} {'f by height':>16} {'f by width':>16} {'f, joint fit':>18} {'residual':>9}")
+        lines.append(f"{'capture':24} {'distance':>9} {'by height':>16} {'by width':>16} {'f, joint fit':>18} {'residual':>9}")
         for one, residual in zip(c.captures, c.residuals, strict=True):
             lines.append(
                 f"{one.capture.name[-24:]:24} {one.capture.distance_m:7.2f} m {_f(one.by_height_px, one.by_height_sigma):>16} "
@@ -283,7 +283,8 @@ def _board_images(o: CalibrateOptions) -> list[tuple[str, Any]]:
         raise UsageError("a board needs --images FILES or --video FILE with views of it from all sides")
     source = open_source(o.video)
     step = max(1, (source.frame_count or 300) // _BOARD_FRAMES)
-    return [(f"frame {f.index}", f.image) for f in source if not isinstance(f, SourceError) and f.index % step == 0][:_BOARD_FRAMES]
+    frames = (f for f in source if not isinstance(f, SourceError) and f.index % step == 0)
+    return [(f"frame {f.index}", f.image) for f in frames][:_BOARD_FRAMES]
 
 
 def board_lines(result: BoardCalibration) -> list[str]:
@@ -302,8 +303,10 @@ def _prior(config: Config, o: CalibrateOptions, tell: Tell, show: Tell) -> int:
     if o.camera is None:
         raise UsageError("no camera is named")
     if config.camera.fx_px is not None:
-        raise UsageError(f"this configuration is calibrated already (camera.fx_px = {config.camera.fx_px:g}); a prior would not be "
-                         "used: take fx_px out first")  # fmt: skip
+        raise UsageError(
+            f"this configuration is calibrated already (camera.fx_px = {config.camera.fx_px:g}); a prior would not be used: "
+            "take fx_px out first"
+        )
     c = config.camera
     f = camera_prior(o.camera).focal_px(c.width_px, c.height_px, o.lens_mm)
     record = CalibrationRecord(
@@ -346,7 +349,9 @@ def _export(config: Config, o: CalibrateOptions, tell: Tell) -> int:
 # -- writing ---------------------------------------------------------------------------------------------------------------
 
 
-def _write(o: CalibrateOptions, camera: Camera, record: CalibrationRecord, pose: dict[str, float], tell: Tell, show: Tell) -> None:
+def _write(
+    o: CalibrateOptions, camera: Camera, record: CalibrationRecord, pose: dict[str, float], tell: Tell, show: Tell
+) -> None:
     """Into the configuration, at the size that it states where it states one (the mode that the camera will run in)."""
     stated = file_size_px(o.config_file) if o.config_file is not None else None
     if stated is not None and stated != (camera.width_px, camera.height_px):
@@ -354,7 +359,7 @@ def _write(o: CalibrateOptions, camera: Camera, record: CalibrationRecord, pose:
             camera = camera.scaled_to(*stated)
         except ValueError as e:
             raise CheckFailedError(f"not written: {o.config_file} runs the camera at {stated[0]}x{stated[1]}, but {e}") from None
-        tell(f"scaled to the {stated[0]}x{stated[1]} of {o.config_file}: right only where that mode sees the same field of view")
+        tell(f"scaled to the {stated[0]}x{stated[1]} of {o.config_file}: right if that mode sees the same field of view")
     drop = ["prior", "lens_mm"] + ([] if camera.distortion else ["distortion"])
     _put(o, camera_table(camera, record, pose), tell, show, drop=tuple(drop))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -36,7 +36,7 @@ from tmde_edge.ranging.settings import RangingSettings
 Image = NDArray[np.uint8]
 
 # A plate to calibrate with is bare and its outline is looked at twice: its edges are the plate's own, not a frame's.
-BARE_PLATE = {"outline_sigma_mm": 0.5, "outline_sigma_tb_mm": 0.5, "outline_bias_px": 0.2, "glyph_bias_px": 0.1}
+BARE_PLATE = RangingSettings(outline_sigma_mm=0.5, outline_sigma_tb_mm=0.5, outline_bias_px=0.2, glyph_bias_px=0.1)
 SHARPEST = 5  # frames of a video or a live camera that one capture is made of
 POSE_SIGMA_RAD = 0.012  # a pitch surer than this turns the rays and is written
 
@@ -74,7 +74,7 @@ class PlateJob:
     lens: Camera | None = None  # principal point and distortion, where known
     pitch_rad: float = 0.0
     roll_rad: float = 0.0
-    settings: RangingSettings = field(default_factory=lambda: RangingSettings(**BARE_PLATE))
+    settings: RangingSettings = BARE_PLATE
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

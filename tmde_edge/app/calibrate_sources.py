@@ -33,7 +33,7 @@ _FIRST_FRAME_S = 8.0
 def distances_of(texts: Sequence[float], count: int) -> list[float]:
     """One distance a capture. Raises UsageError."""
     if len(texts) != count:
-        raise UsageError(f"{count} captures but {len(texts)} --distances: give one distance in metres for each, in the same order")
+        raise UsageError(f"{count} captures but {len(texts)} --distances: give one in metres for each, in the same order")
     for d in texts:
         if not (math.isfinite(d) and 0.1 <= d <= 200):
             raise UsageError(f"--distances {d:g}: give metres, 0.1 to 200")
@@ -88,7 +88,8 @@ def shots_of_video(eyes: Eyes, path: str, distances_m: Sequence[float], at_s: Se
         )
     distances = distances_of(distances_m, len(stretches))
     return [
-        shot_of(f"{times[a]:.1f}-{times[b - 1]:.1f} s", d, size, found[a:b]) for (a, b), d in zip(stretches, distances, strict=True)
+        shot_of(f"{times[a]:.1f}-{times[b - 1]:.1f} s", d, size, found[a:b])
+        for (a, b), d in zip(stretches, distances, strict=True)
     ]
 
 
@@ -145,8 +146,9 @@ def live_shots(eyes: Eyes, camera: LiveCamera, distances_m: Sequence[float], ask
             if shot.problem is not None:
                 tell(f"not taken: {shot.problem.text}")
                 continue
-            plate = shot.seen[0].found
-            tell(f"taken at {distance_m:g} m: {len(shot.seen)} frames, {len(plate.glyphs)} characters, {_width(shot.seen[0]):.0f} px wide")
+            best = shot.seen[0]
+            tell(f"taken at {distance_m:g} m: {len(shot.seen)} frames, the plate is {_width(best):.0f} px wide, "
+                 f"{len(best.found.glyphs)} characters")  # fmt: skip
             shots.append(shot)
             wanted = wanted[1:]
     finally:

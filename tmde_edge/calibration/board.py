@@ -69,7 +69,7 @@ class BoardCalibration:
 
 def parse_size(text: str, what: str) -> tuple[int, int]:
     """"9x6" as (9, 6). Raises UsageError."""
-    match = re.fullmatch(r"(\d+)[x,](\d+)", text.strip())
+    match = re.fullmatch(r"(\d{1,3})[xX,](\d{1,3})", text.strip())
     if match is None or min(int(match[1]), int(match[2])) < 2:
         raise UsageError(f"{what} {text}: give columns x rows, for example 9x6")
     return int(match[1]), int(match[2])
@@ -143,7 +143,7 @@ def calibrate_board(views: Sequence[View], refused: Sequence[tuple[str, str]] = 
             return f"too few good views: {len(used)}, at least {MIN_VIEWS}; " + "; ".join(f"{n}: {r}" for n, r in out)
         try:
             rms, matrix, lens, _, _, sigmas, _, per_view = cv2.calibrateCameraExtended(
-                [v.board for v in used], [v.pixels.reshape(-1, 1, 2) for v in used], size, None, None  # type: ignore[arg-type]
+                [v.board for v in used], [v.pixels.reshape(-1, 1, 2) for v in used], size, np.eye(3), np.zeros(5)
             )
         except cv2.error as error:
             return f"OpenCV finds no camera for these views ({' '.join(str(error.err or error).split())})"

@@ -7,6 +7,7 @@ or solved together with the offset between the lens and the point that the tape 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -14,6 +15,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from tmde_edge.errors import UsageError
 from tmde_edge.geometry.pinhole import Camera, view_from_vehicle
 from tmde_edge.messages import PlateSighting, RangeMeasurement
 from tmde_edge.plates.standard import PlateStandard, Size
@@ -254,6 +256,14 @@ def _pose(found: Sequence[CaptureFocal], known: tuple[float, float]) -> PlatePos
     if abs(pitch) > _MAX_PITCH_RAD:
         return PlatePose(pitch_rad=None, pitch_sigma_rad=None, lens_above_plate_m=None, **base)
     return PlatePose(pitch_rad=pitch, pitch_sigma_rad=sigma, lens_above_plate_m=float(x[0]), **base)
+
+
+def parse_mm(text: str) -> tuple[float, float]:
+    """"520x110" as (520.0, 110.0). Raises UsageError."""
+    match = re.fullmatch(r"(\d+(?:\.\d+)?)[xX,](\d+(?:\.\d+)?)", text.strip())
+    if match is None or not all(20 <= float(v) <= 2000 for v in match.groups()):
+        raise UsageError(f"--plate-mm {text}: give width x height in millimetres, for example 520x110")
+    return float(match[1]), float(match[2])
 
 
 def measured_plate(

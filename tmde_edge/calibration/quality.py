@@ -57,7 +57,7 @@ def check_sighting(plate: PlateSighting) -> Problem | None:
             f"and {MIN_CHAR_PX:g} px are needed: go nearer",
         )
     blur = plate.blur_px
-    if blur is not None and char > 0 and blur > max(MAX_BLUR_PX, MAX_BLUR_OF_CHAR * char):
+    if blur is not None and blur > max(MAX_BLUR_PX, MAX_BLUR_OF_CHAR * (char or (left + right) / 3)):
         return Problem("blur", f"blurred: edges are {blur:.1f} px wide (one sigma); hold still, focus, add light")
     for first, second, what in ((top, bottom, "top and bottom"), (left, right, "left and right")):
         differ = abs(first - second) / ((first + second) / 2)
@@ -121,8 +121,10 @@ def check_calibration(calibration: PlateCalibration, *, prior_px: float | None =
             found.append(Problem("prior", f"f = {f:.0f} px, but this camera should have about {prior_px:.0f} px: is it the "
                                           "right camera, lens and mode, and are the distances in metres?"))  # fmt: skip
     elif not MIN_FOCAL_PX <= f <= MAX_FOCAL_PX:
-        found.append(Problem("focal_range", f"f = {f:.0f} px is not between {MIN_FOCAL_PX:g} and {MAX_FOCAL_PX:g} px: are the "
-                                            "distances in metres? A tele lens needs its own prior: --camera NAME --lens-mm MM"))  # fmt: skip
+        found.append(Problem(
+            "focal_range", f"f = {f:.0f} px is not between {MIN_FOCAL_PX:g} and {MAX_FOCAL_PX:g} px: are the distances in "
+            "metres? A tele lens needs its own prior: --camera NAME --lens-mm MM",
+        ))
     if calibration.offset_m is None and abs(calibration.trend_m) > TREND_SIGMAS * calibration.trend_sigma_m:
         found.append(Problem(
             "trend", f"the residuals grow towards near distances as if the tape began {100 * abs(calibration.trend_m):.0f} cm "
@@ -130,8 +132,10 @@ def check_calibration(calibration: PlateCalibration, *, prior_px: float | None =
             "measure from the lens, or make the offset the second unknown (--fit-offset)",
         ))  # fmt: skip
     if calibration.sigma > MAX_SIGMA:
-        found.append(Problem("scatter", f"uncertain: one sigma of f is {100 * calibration.sigma:.1f} %, at most "
-                                        f"{100 * MAX_SIGMA:.0f} %; repeat with a tape and larger plates in the picture"))  # fmt: skip
+        found.append(Problem(
+            "scatter", f"uncertain: one sigma of f is {100 * calibration.sigma:.1f} %, at most {100 * MAX_SIGMA:.0f} %; "
+            "repeat with a tape and larger plates in the picture",
+        ))
     return found
 
 
