@@ -15,7 +15,7 @@ import msgspec
 from tmde_edge.adapters.cameras.sources import open_source, read_image
 from tmde_edge.adapters.cameras.video_file import SourceError
 from tmde_edge.app.calibrate_files import camera_table, export_camera, file_size_px, read_camera, table_text, write_config
-from tmde_edge.app.calibrate_plate import POSE_SIGMA_RAD, PlateJob, PlateOutcome, Shot, solve
+from tmde_edge.app.calibrate_plate import PlateJob, PlateOutcome, Shot, pose_is_sure, solve
 from tmde_edge.app.calibrate_sources import Ask, Tell, live_shots, shots_of_stills, shots_of_video
 from tmde_edge.app.measure import expand, measure_sighting
 from tmde_edge.app.wiring import build_camera, build_eyes, threads
@@ -114,9 +114,8 @@ def _plate(config: Config, base_dir: Path, o: CalibrateOptions, ask: Ask, tell: 
         reasons = [p.text for p in outcome.problems if p.kind in FATAL] or ["no good capture"]
         raise CheckFailedError("not calibrated, nothing is changed: " + "; ".join(reasons))
     camera = _camera_of(calibration, job.lens)
-    sigma_rad = calibration.pose.pitch_sigma_rad
     pose: dict[str, float] = {}
-    if sigma_rad is not None and calibration.pose.pitch_rad is not None and sigma_rad < POSE_SIGMA_RAD:
+    if calibration.pose.pitch_rad is not None and pose_is_sure(calibration):
         pose = {"pitch_rad": calibration.pose.pitch_rad, "roll_rad": calibration.pose.roll_rad}
     record = CalibrationRecord(
         method="plate", date=_now().isoformat(timespec="seconds"), camera_id=o.camera_id or config.camera.device,

@@ -73,6 +73,7 @@ def write_config(path: Path, table: Mapping[str, Any], now: datetime, *, drop: t
                 sub = tomlkit.table()
                 for k, v in value.items():
                     sub.add(k, v)
+                sub.add(tomlkit.nl())
                 camera.add(key, sub)
             else:
                 camera[key] = value

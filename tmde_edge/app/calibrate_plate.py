@@ -38,7 +38,8 @@ Image = NDArray[np.uint8]
 # A plate to calibrate with is bare and its outline is looked at twice: its edges are the plate's own, not a frame's.
 BARE_PLATE = RangingSettings(outline_sigma_mm=0.5, outline_sigma_tb_mm=0.5, outline_bias_px=0.2, glyph_bias_px=0.1)
 SHARPEST = 5  # frames of a video or a live camera that one capture is made of
-POSE_SIGMA_RAD = 0.012  # a pitch surer than this turns the rays and is written
+POSE_SIGMA_RAD = 0.006  # a pitch surer than this turns the rays and is written,
+POSE_CAPTURES = 4  # and of so many captures: plates held by hand at other heights look like a pitch
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,8 +135,7 @@ def solve(shots: Sequence[Shot], job: PlateJob) -> PlateOutcome:
     if not found:
         return PlateOutcome(calibration=None, refused=tuple(refused), problems=(Problem("too_few", "no good capture"),))
     calibration = _combine(found, job, pose)
-    sure = calibration.pose.pitch_sigma_rad is not None and calibration.pose.pitch_sigma_rad < POSE_SIGMA_RAD
-    if sure and calibration.pose.pitch_rad is not None:
+    if calibration.pose.pitch_rad is not None and pose_is_sure(calibration):
         # The plates themselves say how the camera looks down: distances are along the road, so the rays are turned.
         pose = (calibration.pose.pitch_rad, job.roll_rad)
         found = _range_all([c.capture for c in found], job, pose, refused)
@@ -150,6 +150,12 @@ def solve(shots: Sequence[Shot], job: PlateJob) -> PlateOutcome:
         calibration = _combine(found, job, pose)
     problems = check_calibration(calibration, prior_px=job.prior_px)
     return PlateOutcome(calibration=calibration, refused=tuple(refused), problems=tuple(problems))
+
+
+def pose_is_sure(calibration: PlateCalibration) -> bool:
+    """Whether the pose while calibrating is worth writing."""
+    sigma_rad = calibration.pose.pitch_sigma_rad
+    return sigma_rad is not None and sigma_rad < POSE_SIGMA_RAD and len(calibration.captures) >= POSE_CAPTURES
 
 
 def _combine(found: Sequence[CaptureFocal], job: PlateJob, pose: tuple[float, float]) -> PlateCalibration:

@@ -88,7 +88,7 @@ def test_straight_distances_are_lens_to_plate() -> None:
 def test_pose_while_calibrating() -> None:
     pitch, roll = 0.05, 0.02
     view = view_from_vehicle(pitch, roll)
-    c = solved([shot(d, view_from_vehicle=view, v=0.6 / d) for d in (2.0, 5.0, 10.0)])
+    c = solved([shot(d, view_from_vehicle=view, v=0.6 / d) for d in (2.0, 3.0, 5.0, 10.0)])
     assert c.pose.pitch_rad == pytest.approx(pitch, abs=0.004)
     assert c.pose.roll_rad == pytest.approx(roll, abs=0.004)
     assert c.f_px == pytest.approx(F, rel=5e-3)
