@@ -13,7 +13,7 @@ from tmde_edge.pose.edges import Image
 from tmde_edge.pose.lanes import LaneFinder
 from tmde_edge.pose.settings import PoseSettings
 from tmde_edge.pose.tilt import TiltMeter
-from tmde_edge.vision.perception import EARLY_NS, Perception
+from tmde_edge.vision.perception import BETWEEN, EARLY_NS, Perception
 
 Horizon = Callable[[Image, "Point | None"], "LaneSighting | None"]  # a picture and where its horizon is expected
 
@@ -42,6 +42,7 @@ class Eyes:
         self._clock_ns = clock_ns
         self._focal_px = focal_px
         self._looked_ns: int | None = None
+        self._last_ns: int | None = None
 
     def see(self, frame: Frame) -> Sighting:
         """The next frame of a drive, in order of time."""
@@ -52,7 +53,7 @@ class Eyes:
         prior = self._prior_px(frame.image.shape[1], frame.image.shape[0])
         tilt = self._tilt.see(frame.image, frame.t_ns, prior)
         lanes: LaneSighting | None = None
-        if _due(self._looked_ns, frame.t_ns, self._period_ns):
+        if self._lanes_due(frame.t_ns, sighting.searched):
             self._looked_ns = frame.t_ns
             if self._lanes is not None:
                 lanes = self._lanes.see(frame.image, frame.t_ns, prior)
@@ -67,6 +68,13 @@ class Eyes:
         timing["pose"] = took_ms
         timing["total"] = timing.get("total", 0.0) + took_ms
         return replace(sighting, lanes=lanes, tilt=tilt, timing_ms=timing)
+
+    def _lanes_due(self, t_ns: int, searched: bool) -> bool:
+        """Whether to look for lanes; not beside a full search where the next frame comes soon enough."""
+        step_ns = 0 if self._last_ns is None else t_ns - self._last_ns
+        self._last_ns = t_ns
+        wait = searched and 0 < BETWEEN * step_ns <= self._period_ns + EARLY_NS
+        return _due(self._looked_ns, t_ns, self._period_ns + (step_ns if wait else 0))
 
     def thin_searches(self, factor: float) -> None:
         """Full searches are this much rarer from the next frame on (1: as configured)."""

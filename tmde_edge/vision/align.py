@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from tmde_edge.vision.protocols import Image
 
 Array = NDArray[np.float64]
-ITERATIONS = 8
-PIXELS_MAX = 1500
+ITERATIONS = 10
+SETTLED_PX = 0.004  # a step below this moves the ratio by less than its sigma
+PIXELS_MAX = 1200
 PIXELS_MIN = 60
 HUBER_SIGMAS = 2.0
 CORRELATED_PX = 4.0  # neighbours that share one independent residual: interpolation, demosaicing, compression
@@ -43,9 +44,10 @@ def align(template: Image, later: Image, mask: NDArray[np.bool_], start: Array) 
     rows, columns = rows[::skip], columns[::skip]
     if len(rows) < PIXELS_MIN:
         return None
-    then, now = template.astype(np.float32), later.astype(np.float32)
+    then = template.astype(np.float32)
     gx, gy = _gradients(then)
-    now_x, now_y = _gradients(now)
+    now = later.astype(np.float32)
+    layers = np.asarray(cv2.merge([now, *_gradients(now)]), dtype=np.float32)
     points = np.column_stack([columns, rows]).astype(np.float64)
     centre = points.mean(axis=0)
     offsets = points - centre
@@ -55,39 +57,38 @@ def align(template: Image, later: Image, mask: NDArray[np.bool_], start: Array) 
     m = complex(start[0, 0], start[1, 0])
     t = start[:, :2] @ centre + start[:, 2]
     normal, sigma, step = np.eye(6), 0.0, np.inf
+    weights = np.ones(len(rows))
+    jacobian = np.empty((len(rows), 6))
+    jacobian[:, 4], jacobian[:, 5] = wanted.mean() - wanted, -1.0
     for _ in range(ITERATIONS):
         at = _moved(offsets, m, t).astype(np.float32)
-        seen, sx, sy = (_sample(i, at) for i in (now, now_x, now_y))
         inside = (at >= 0).all(axis=1) & (at[:, 0] <= later.shape[1] - 1) & (at[:, 1] <= later.shape[0] - 1)
         if inside.mean() < 0.8:
             return None
-        # the later image's gradient, turned back into the template's axes
-        slope_now = np.column_stack([sx * m.real + sy * m.imag, sy * m.real - sx * m.imag])
-        slope = 0.5 * (slope_then + slope_now)[inside]
-        o, want, got = offsets[inside], wanted[inside], seen[inside]
-        jacobian = np.column_stack([
-            slope[:, 0] * o[:, 0] + slope[:, 1] * o[:, 1], slope[:, 1] * o[:, 0] - slope[:, 0] * o[:, 1],
-            slope[:, 0], slope[:, 1], -(want - want.mean()), -np.ones(len(want)),
-        ])
-        residual = got - want
-        weights = np.ones(len(want))
-        for _ in range(2):
-            weighted = jacobian * weights[:, None]
-            normal = weighted.T @ jacobian
-            try:
-                solved = np.linalg.solve(normal, -(weighted.T @ residual))
-            except np.linalg.LinAlgError:  # a patch without texture
-                return None
-            left = residual + jacobian @ solved
-            sigma = max(NOISE_FLOOR_GREY, 1.4826 * float(np.sort(np.abs(left))[len(left) // 2]))
-            weights = np.minimum(1.0, HUBER_SIGMAS * sigma / np.maximum(np.abs(left), 1e-9))
+        seen, sx, sy = _sample(layers, at)
+        # the mean of both gradients, the later image's turned back into the template's axes
+        slope_x = 0.5 * (slope_then[:, 0] + sx * m.real + sy * m.imag)
+        slope_y = 0.5 * (slope_then[:, 1] + sy * m.real - sx * m.imag)
+        jacobian[:, 0] = slope_x * offsets[:, 0] + slope_y * offsets[:, 1]
+        jacobian[:, 1] = slope_y * offsets[:, 0] - slope_x * offsets[:, 1]
+        jacobian[:, 2], jacobian[:, 3] = slope_x, slope_y
+        residual = seen - wanted
+        weighted = jacobian * (weights * inside)[:, None]
+        normal = weighted.T @ jacobian
+        try:
+            solved = np.linalg.solve(normal, -(weighted.T @ residual))
+        except np.linalg.LinAlgError:  # a patch without texture
+            return None
+        left = np.abs(residual + jacobian @ solved)
+        sigma = max(NOISE_FLOOR_GREY, 1.4826 * float(np.partition(left[inside], (k := int(inside.sum()) // 2))[k]))
+        weights = np.minimum(1.0, HUBER_SIGMAS * sigma / np.maximum(left, 1e-9))
         # the step is in the template's axes: compose it in front of the map so far
         turn = complex(1 + solved[0], solved[1])
         shift = complex(solved[2], solved[3]) * m
         t = t + np.array([shift.real, shift.imag])
         m = m * turn
         step = float(np.hypot(abs(turn - 1) * np.abs(offsets).max(), abs(shift)))
-        if step < 1e-3:
+        if step < SETTLED_PX:
             break
     if step > 0.1 or not np.isfinite(abs(m)):
         return None
@@ -112,7 +113,7 @@ def _moved(offsets: Array, m: complex, t: Array) -> Array:
     return np.column_stack([m.real * x - m.imag * y + t[0], m.imag * x + m.real * y + t[1]])
 
 
-def _sample(image: NDArray[np.float32], at: NDArray[np.float32]) -> Array:
-    """(n,) cubic samples; border pixels are repeated outside."""
-    got = cv2.remap(image, at[:, None, 0], at[:, None, 1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(got, dtype=np.float64).ravel()
+def _sample(layers: NDArray[np.float32], at: NDArray[np.float32]) -> Array:
+    """(layers, n) cubic samples; border pixels are repeated outside."""
+    got = cv2.remap(layers, at[:, None, 0], at[:, None, 1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(got, dtype=np.float64)[:, 0].T

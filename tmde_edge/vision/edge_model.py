@@ -20,6 +20,7 @@ MARGIN, MARGIN_SIGMA = 0.018, 0.008
 SPREAD_PX, SPREAD_LOG_SIGMA = 0.65, 0.35  # lens, sensor and demosaicing
 LINE_LEVEL_SIGMA = 25.0  # grey levels; the line has the ink's colour
 ITERATIONS = 8
+SETTLED_PX = 0.01
 NOISE_GREY = 1.5  # of an averaged profile at least: uneven paint and light
 X, T, M, S, G, K, B = range(7)  # columns of the parameters
 
@@ -63,8 +64,11 @@ def fit_edges(
         t_cost, t_jacobian, t_residual = _evaluate(trial, y, offsets_px, inside, noise, prior, weight)
         better = t_cost < cost
         damping = np.where(better, damping * 0.2, damping * 8)
+        moved = np.abs(trial[:, X] - p[:, X])
         p[better], cost[better] = trial[better], t_cost[better]
         jacobian[better], residual[better] = t_jacobian[better], t_residual[better]
+        if (moved < SETTLED_PX).all():
+            break
     normal = jacobian.transpose(0, 2, 1) @ jacobian
     normal[:, _ALL, _ALL] += weight**2
     covariance = np.linalg.inv(normal)

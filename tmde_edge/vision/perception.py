@@ -26,6 +26,9 @@ VELOCITY_SHARE = 0.6  # of a new step in the smoothed image velocity
 BRIDGE_HITS = 3  # sightings before flow alone may carry a plate
 MISSES = 2  # frames in a row without a sighting that end a track before it was confirmed
 REAR_LOST_NS = 250_000_000  # a vehicle whose rear flow has not followed for this long is lost
+SETTLED_NS = 250_000_000  # the finder itself looks at a settled track again after this long
+SETTLED_SIGMA = 0.15  # of a plate's height: a prediction this good needs no search, the reader's crop holds the plate
+BETWEEN = 3.0  # work that can wait one frame is not done beside a full search where frames come this much quicker
 SAME_STILL_IOU = 0.3  # finer looks at a still: overlap with a plate already read
 SAME_PLATE_IOU = 0.15  # overlap with the predicted box that makes a candidate the same plate
 
@@ -44,6 +47,9 @@ class _Track:
     seen_ns: int  # last detection
     hits: int = 1
     misses: int = 0  # frames since the last hit
+    found_ns: int = 0  # last time that the finder itself saw it, and how sure it was
+    found_score: float = 0.0
+    judged: bool = False  # the reader has an opinion whether this is a plate
     needed: int = 2  # hits before it is reported
     sure: bool = False  # was once beyond doubt
     id: int = 0  # 0 until confirmed
@@ -155,12 +161,13 @@ class Perception:
 
         steps = [self._predict(track, image, t_ns, step_ns) for track in self._tracks]
         timing.done("flow")
-        searched, candidates = self._look(image, t_ns)
+        settled = [self._settled(track, step, t_ns) for track, step in zip(self._tracks, steps, strict=True)]
+        searched, candidates = self._look(image, t_ns, settled)
         timing.done("detect")
         matched, fresh = self._associate(candidates)
-        plates = self._measure(image, t_ns, step_ns, steps, matched, fresh)
+        plates = self._measure(image, t_ns, step_ns, steps, settled, matched, fresh)
         timing.done("read")
-        changes = self._scale_changes(image, t_ns)
+        changes = self._scale_changes(image, t_ns, busy=self._busy(t_ns, step_ns))
         self._retire(image, t_ns)
         timing.done("flow")
         mode = self._mode
@@ -189,11 +196,27 @@ class Perception:
         track.sigma_px = float(np.hypot(track.sigma_px, step.sigma_px if step is not None else 2.0))
         return step
 
-    def _look(self, image: Image, t_ns: int) -> tuple[bool, list[PlateCandidate]]:
-        """Region searches round every track, and the full search or the fovea when due."""
+    def _busy(self, t_ns: int, step_ns: int) -> bool:
+        """Whether this frame has a full search to pay for, or follows one (lanes are looked for then), and others come soon."""
+        soon = 0 < step_ns * 1e-9 * BETWEEN <= min(self._flow.base_s, 1 / self._detector.search_rate_hz) + EARLY_NS * 1e-9
+        return soon and self._searched_ns is not None and t_ns - self._searched_ns < 1.5 * step_ns
+
+    def _settled(self, track: _Track, step: FlowStep | None, t_ns: int) -> bool:
+        """Whether flow knows where this plate is so well that the reader alone can say whether it is still there."""
+        return (
+            step is not None
+            and track.judged
+            and self._bridges(track)
+            and track.misses == 0
+            and t_ns - track.found_ns <= SETTLED_NS
+            and track.sigma_px <= SETTLED_SIGMA * size_px(track.corners_px)[1]
+        )
+
+    def _look(self, image: Image, t_ns: int, settled: list[bool]) -> tuple[bool, list[PlateCandidate]]:
+        """Region searches round every track that is not settled, and the full search or the fovea when due."""
         found: list[PlateCandidate] = []
-        for track in self._tracks:
-            region = self._region(track, image)
+        for track, known in zip(self._tracks, settled, strict=True):
+            region = None if known else self._region(track, image)
             if region is not None:
                 # where a plate is known to be, a weaker sign of it is enough
                 mode: Mode = "permissive" if self._bridges(track) else self._mode
@@ -204,7 +227,9 @@ class Perception:
         if self._detector.fovea and self._due(self._fovea_ns, t_ns, self._detector.fovea_rate_hz / self.thinning):
             self._fovea_ns = t_ns
             window = fovea_region(image.shape[1], image.shape[0], self.far_point_px, self._detector)
-            found += self._search.region(image, window, None, self._mode)
+            # a settled plate in the window is on a vehicle that hides what lies beyond
+            if not any(k and _within(t.corners_px, window) for t, k in zip(self._tracks, settled, strict=True)):
+                found += self._search.region(image, window, None, self._mode)
         return False, found
 
     @staticmethod
@@ -242,22 +267,26 @@ class Perception:
         return matched, fresh[: max(0, self._detector.max_plates - len(self._tracks))]
 
     def _measure(
-        self, image: Image, t_ns: int, step_ns: int, steps: list[FlowStep | None], matched: dict[int, PlateCandidate],
-        fresh: list[PlateCandidate],
+        self, image: Image, t_ns: int, step_ns: int, steps: list[FlowStep | None], settled: list[bool],
+        matched: dict[int, PlateCandidate], fresh: list[PlateCandidate],
     ) -> tuple[PlateSighting, ...]:
         """Reads every track where it was found (or where flow carried it) and every new candidate; updates the tracks."""
         tracks = list(self._tracks)
-        wanted = [
-            matched.get(i) or PlateCandidate(corners_px=t.corners_px, score=self._faded(t, t_ns))
-            for i, t in enumerate(tracks)
-        ]
+        wanted = []
+        for i, t in enumerate(tracks):
+            if i in matched:
+                t.found_ns, t.found_score = t_ns, matched[i].score
+            if settled[i]:  # flow carries the place better than a search of the whole frame
+                wanted.append(PlateCandidate(corners_px=t.corners_px, score=t.found_score))
+            else:
+                wanted.append(matched.get(i) or PlateCandidate(corners_px=t.corners_px, score=self._faded(t, t_ns)))
         readings = self._reader.read(image, wanted + fresh)
         plates: list[PlateSighting] = []
         for i, track in enumerate(tracks):
             reading = readings[i]
             credible = self._credible(reading)
-            if i in matched and credible:
-                self._hit(track, matched[i], reading, t_ns, step_ns)
+            if credible and (i in matched or settled[i]):
+                self._hit(track, wanted[i], reading, t_ns, step_ns)
                 plates += self._report(track, reading, track.score, "detector", image)
                 continue
             track.misses += 1
@@ -272,6 +301,7 @@ class Perception:
             if self._credible(reading) and is_convex(reading.corners_px):
                 track = _Track(corners_px=reading.corners_px, score=_joint_score(candidate, reading), seen_ns=t_ns)
                 track.sigma_px = reading.corners_sigma_px
+                track.found_ns, track.found_score = t_ns, candidate.score
                 # a lower bar for candidates needs one more look before anything is claimed
                 track.needed = self._detector.confirm_hits + (1 if self._mode == "permissive" else 0)
                 self._tracks.append(track)
@@ -304,6 +334,7 @@ class Perception:
         self._carry(track, reading, step_ns)
         track.score, track.seen_ns = _joint_score(candidate, reading), t_ns
         track.hits, track.misses = track.hits + 1, 0
+        track.judged = reading.platehood is not None
         track.sigma_px = reading.corners_sigma_px
         self._confirm(track)
 
@@ -332,10 +363,10 @@ class Perception:
             plate_sighting(reading, track_id=track.id, score=score, source=source, shape=image.shape, settings=settings)
         ]
 
-    def _scale_changes(self, image: Image, t_ns: int) -> tuple[ScaleChange, ...]:
-        """Growth of confirmed tracks since their anchor, directly between the two images, once every base_s."""
+    def _scale_changes(self, image: Image, t_ns: int, *, busy: bool) -> tuple[ScaleChange, ...]:
+        """Growth of confirmed tracks since their anchor, directly between the two images, once every base_s; not while busy."""
         changes: list[ScaleChange] = []
-        if not self._flow.enabled:
+        if not self._flow.enabled or busy:
             return ()
         for track in self._tracks:
             if track.anchor is None or not track.id or t_ns - track.anchor_ns < self._flow.base_s * 1e9 - EARLY_NS:
@@ -402,6 +433,12 @@ class Perception:
             status=status, plates=plates, scale_changes=changes, vehicles=vehicles, mode=mode, searched=searched,
             timing_ms=timing.total(),
         )  # fmt: skip
+
+
+def _within(corners_px: Array, region: Region) -> bool:
+    """Whether a plate's middle lies in a region."""
+    x, y = corners_px.mean(axis=0)
+    return bool(region[0] <= x < region[2] and region[1] <= y < region[3])
 
 
 def _near(track: _Track, reading: PlateReading) -> bool:
