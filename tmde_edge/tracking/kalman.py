@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from tmde_edge.tracking.settings import TrackerSettings
 
 Matrix = NDArray[np.float64]
+RESTART_SPEED_SIGMA_MPS = 1.0  # of a speed that starts anew, beside the growth's own
 
 
 @lru_cache(maxsize=512)
@@ -77,6 +78,7 @@ class RangeFilter:
         self._anchor_ns: int | None = None
         self._ego_speed_mps = ego_speed_mps
         self._rejected: list[float] = []
+        self.closing_doubted = True  # until growth of the image has confirmed it: a few first ranges tell little
         self._depth_sigma = 0.0  # of the lasting error, as the readings tell it; none has come yet
         self._start(distance_m, noise_m)
 
@@ -161,6 +163,16 @@ class RangeFilter:
             return Innovation(residual=y, sigma=sigma, accepted=False)
         self._kf.update(np.array([[z]]), R=np.array([[r]]), H=np.array([[0.0, 1.0, 0.0, 0.0, 0.0]]))
         return Innovation(residual=y, sigma=sigma, accepted=True)
+
+    def restart_closing(self, rate_per_s: float, sigma_per_s: float) -> None:
+        """The speed starts anew from growth of the image (v_rel / D = rate): what it was made of was wrong."""
+        d = float(self._kf.x[0, 0])
+        self._kf.x[1, 0] = rate_per_s * d + (self._ego_speed_mps or 0.0)
+        self._kf.x[2, 0] = 0.0
+        accel = self._s.accel_sigma_mps2 if self._s.model == "singer" else 0.0
+        for i, variance in ((1, (2 * sigma_per_s * d) ** 2 + RESTART_SPEED_SIGMA_MPS**2), (2, accel**2)):
+            self._kf.P[i, :] = self._kf.P[:, i] = 0.0
+            self._kf.P[i, i] = variance
 
     def update_depth(self, distance_m: float, sigma_m: float, age_s: float, travel_m: float) -> Innovation:
         """A distance by depth as of age_s ago, travel_m back: z = (D - v age + a age^2 / 2 + travel)(1 + b).

@@ -261,10 +261,18 @@ class LeadTracker:
 
 
 def _grow(state: RangeFilter, change: ScaleChange, sigma: float, t_ns: int) -> Innovation:
+    """Takes a growth of the image; one that contradicts the speed of a new track, or twice in a row, restarts that speed.
+
+    Growth is much surer of the speed than differences between a far plate's ranges.
+    """
     innovation = state.update_growth(change.ratio, sigma, change.t_from_ns)
+    dt_s = (t_ns - change.t_from_ns) * 1e-9
+    rate, rate_sigma = -math.log(change.ratio) / dt_s, sigma / change.ratio / dt_s
     if innovation is None:  # begun before this track was measured: the mean closing since then is all it says
-        dt_s = (t_ns - change.t_from_ns) * 1e-9
-        innovation = state.update_inverse_ttc(-math.log(change.ratio) / dt_s, sigma / change.ratio / dt_s)
+        innovation = state.update_inverse_ttc(rate, rate_sigma)
+    if not innovation.accepted and state.closing_doubted:
+        state.restart_closing(rate, rate_sigma)
+    state.closing_doubted = not innovation.accepted
     state.set_anchor(t_ns)
     return innovation
 

@@ -166,3 +166,14 @@ def test_repeated_growth_from_one_good_range_never_sharpens_it() -> None:
         f.predict(0.2)
         f.update_growth(1.0, 1e-4, k)
     assert float(f.covariance[0, 0]) ** 0.5 > 0.39
+
+
+def test_a_speed_that_wild_first_ranges_made_up_starts_anew_from_growth() -> None:
+    f = RangeFilter(TrackerSettings(), distance_m=25.7, noise_m=2.7, ego_speed_mps=7.0)
+    for distance_m in (32.2, 32.0, 31.8, 31.9):  # truth: 29 m, closing at 7 m/s
+        f.predict(1 / 30, 7.0 / 30)
+        f.update_range(distance_m, 1.4)
+    assert f.range_rate_mps > 2  # what the ranges alone make of it: the lead flees
+    f.restart_closing(-7.0 / 29.0, 0.01)
+    assert f.range_rate_mps == pytest.approx(-7.0, abs=1.0)
+    assert 0.5 < float(f.covariance[1, 1]) ** 0.5 < 2.0

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from tmde_edge.messages import EgoState, RangeMeasurement, ScaleChange
-from tmde_edge.tracking.lead import LeadTracker
+from tmde_edge.tracking.kalman import RangeFilter
+from tmde_edge.tracking.lead import LeadTracker, _grow
 from tmde_edge.tracking.path import OwnPath
 from tmde_edge.tracking.settings import TrackerSettings
 
@@ -191,3 +192,24 @@ def test_without_vehicle_scale_a_hidden_plate_coasts() -> None:
     assert (track.t_ns - track.measured_ns) * 1e-9 == pytest.approx(2.0)
     assert track.sigma_m > 0.5
     assert not tracker.carries(1, track.t_ns)
+
+
+def test_one_growth_that_contradicts_a_settled_speed_is_not_believed_two_are() -> None:
+    f = RangeFilter(TrackerSettings(), distance_m=20.0, noise_m=0.2, ego_speed_mps=10.0)
+    step_ns = 200_000_000
+
+    def see(k: int, ratio: float) -> bool:
+        change = ScaleChange(track_id=1, t_from_ns=k * step_ns, ratio=ratio, sigma=0.002, source="vehicle")
+        return _grow(f, change, 0.002, (k + 1) * step_ns).accepted
+
+    f.set_anchor(0)
+    for k in range(20):
+        f.predict(0.2, 2.0)
+        f.update_range(20.0, 0.2)
+        assert see(k, 1.0)
+    f.predict(0.2, 2.0)
+    assert not see(20, 1.1)
+    assert abs(f.range_rate_mps) < 0.5
+    f.predict(0.2, 2.0)
+    assert not see(21, 1.1)
+    assert f.range_rate_mps == pytest.approx(-20.0 * 0.4766, abs=1.0)

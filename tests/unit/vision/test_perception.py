@@ -216,7 +216,7 @@ def test_growth_of_the_image_is_reported_over_its_base():
         frames = (t_ns - c.t_from_ns) / STEP_NS
         # 0.2 s are six frames; never beside a full search or just after one
         assert frames in (pytest.approx(6), pytest.approx(8))
-        assert c.ratio == pytest.approx(1.004**6, abs=max(0.002, 4 * c.sigma))
+        assert c.ratio == pytest.approx(1.004**frames, abs=max(0.002, 4 * c.sigma))
 
 
 def test_permissive_after_thirty_frames_strict_again_on_success():
