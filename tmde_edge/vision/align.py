@@ -116,4 +116,4 @@ def _moved(offsets: Array, m: complex, t: Array) -> Array:
 def _sample(layers: NDArray[np.float32], at: NDArray[np.float32]) -> Array:
     """(layers, n) cubic samples; border pixels are repeated outside."""
     got = cv2.remap(layers, at[:, None, 0], at[:, None, 1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(got, dtype=np.float64)[:, 0].T
+    return np.asarray(np.asarray(got, dtype=np.float64)[:, 0].T)
