@@ -13,7 +13,7 @@ NotNegative = Annotated[float, Meta(ge=0)]
 class AlertSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Thresholds of caution and warning."""
 
-    warning_ttc_s: Positive = 3.0  # NHTSA FCW: at or before 2.4 s of a braking lead; margin for noticing that it brakes
+    warning_ttc_s: Positive = 3.2  # NHTSA FCW: at or before 2.4 s of a braking lead; margin for noticing that it brakes
     standing_ttc_s: Positive = 2.5  # warning and caution for what never moved, at the most: mostly it is parked ...
     standing_reaction_s: Positive = 1.0  # ... and not before a driver who takes so long ...
     standing_decel_mps2: Positive = 7.0  # ... and brakes so hard has to be told (NHTSA FCW: 2.1 s at 20 m/s)
