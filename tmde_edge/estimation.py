@@ -36,6 +36,7 @@ from tmde_edge.messages import (
 from tmde_edge.pose.attitude import AttitudeEstimator
 from tmde_edge.pose.compensate import cosine_ratio, plate_height_possible, to_vehicle, view_from_vehicle
 from tmde_edge.pose.resting import RestingPose
+from tmde_edge.ranging.cover import CoverCheck
 from tmde_edge.ranging.depth_scale import DepthAligner
 from tmde_edge.ranging.ranger import Ranger
 from tmde_edge.ranging.scale_memory import TrackScale
@@ -80,6 +81,7 @@ class Estimation:
         self._travelled_ns: dict[int, int] = {}
         self._lane_yaw_ns = -LANE_YAW_NS
         self._scales: dict[int, TrackScale] = {}
+        self._cover = CoverCheck()
         self._ego: EgoState | None = None
         self._pose = Pose(pitch_rad=0.0, roll_rad=0.0)
         self._alert = Alert()
@@ -157,6 +159,7 @@ class Estimation:
         self._scales = {k: v for k, v in self._scales.items() if k in alive}
         self._travelled_ns = {k: v for k, v in self._travelled_ns.items() if k in alive}
         self._travel.forget(alive)
+        self._cover.keep(alive)
         self._scale_changes(s, camera)
         chosen = self._tracker.choose(s.t_ns)
         depth = self._depth(s, camera, chosen)
@@ -196,6 +199,8 @@ class Estimation:
             if usable:
                 self._tracker.update(_relative_range(plate, s), _source(plate))
             return None, "uncalibrated"
+        if self._cover.covered(plate, s.t_ns):
+            return None, "covered"
         correction = self._p.attitude.correction
         turn = view_from_vehicle(self._pose) if correction == "rotate" else np.eye(3)
         found, scale, reason = self._p.ranger.measure(plate, camera, turn, s.t_ns, self._scales.get(plate.track_id))

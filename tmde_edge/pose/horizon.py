@@ -16,7 +16,7 @@ OFFSETS_PX: FloatArray = np.arange(-31.5, 32.0, 1.0)  # of the horizon below tha
 SLOPES: FloatArray = np.arange(-12.0, 13.0) * 0.015  # rows per column
 VIEW_RAD = 1.0  # how much of the picture is looked at, at most, from left to right
 # The network's own spread is of single pictures; pictures of one road err alike, and a filter takes them for independent.
-SHARED_ERROR = 2.0
+SHARED_ERROR = 1.3
 LEAST_SIGMA_PX = 0.7  # network pixels
 MAX_SIGMA_PX = 8.0  # a distribution wider than this says nothing
 

@@ -16,7 +16,7 @@ class PoseSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     method: Literal["robust", "paper", "network", "none"] = "robust"  # how the lanes' vanishing point is found; network: the
     # horizon network instead of lanes; none: calibrated pose only
     network: bool = True  # where no lanes are found the horizon network is asked ...
-    network_rate_hz: Positive = 5.0  # ... this often at most
+    network_rate_hz: Positive = 10.0  # ... this often at most
     rate_hz: Positive = 10.0  # how often lanes are looked for
     working_width_px: Annotated[int, Meta(ge=160)] = 640  # the image is reduced to about this width for the search
     search_fraction: Positive = 0.05  # of the image width: how far above or below the prior the vanishing row may lie
