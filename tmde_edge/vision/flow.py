@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tmde_edge.vision.align import align
+from tmde_edge.vision.align import Alignment, align
 from tmde_edge.vision.protocols import Image
 from tmde_edge.vision.rectify import bounds, size_px, to_grey
 from tmde_edge.vision.settings import FlowSettings
@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 WIDEST_PX = 384  # of the window in tracking pixels
 MOTION_MARGIN_PX = 24  # of the window round the ring, in tracking pixels
 GROWTH_FLOOR = 2e-4  # of a ratio's sigma: lens, rolling shutter, a rear that is not flat
+PARTED_PX, PARTED = 1.0, 0.02  # plate and rear move apart by more than this, in pixels and plate widths: not one body
 POINT_FLOOR_PX = 0.03  # error of one feature that residuals do not show, tracking pixels
 
 
@@ -104,6 +105,12 @@ def follow(template: Template, image: Image, guess_px: Array, settings: FlowSett
     best = plate or rear
     if best is None:
         return None
+    if plate is not None and rear is not None:
+        # What sweeps across a plate takes its features along; the rear round it stays with the vehicle.
+        middle = np.append(template.corners_px.mean(axis=0), 1.0)
+        apart = float(np.hypot(*(plate.matrix @ middle - rear.matrix @ middle)))
+        if apart > PARTED_PX + PARTED * size_px(template.corners_px)[0]:
+            best, plate = rear, None
     corners = template.corners_px @ best.matrix[:, :2].T + best.matrix[:, 2]
     half = float(np.hypot(*size_px(template.corners_px))) / 2
     shift_sigma = best.residual_px / np.sqrt(best.inliers)
@@ -120,6 +127,34 @@ def grow(template: Template, image: Image, now_px: Array, settings: FlowSettings
 
     now_px: the plate's corners (4, 2) in the later image, right to a pixel or two.
     """
+    grey, _, start = _start(template, image, now_px)
+    found: list[Growth | None] = []
+    for mask in _parts(template, settings):
+        fit = align(template.grey, grey, mask > 0, start)
+        found.append(None if fit is None else _dense_growth(fit, mask))
+    return found[0], found[1]
+
+
+def follow_rear(template: Template, image: Image, guess_px: Array, settings: FlowSettings) -> FlowStep | None:
+    """`follow` by all pixels of the rear alone: for a plate that is covered and a rear without features; None without texture.
+
+    guess_px: corners (4, 2) to start from, right to a few pixels.
+    """
+    grey, origin, start = _start(template, image, guess_px)
+    ring = _parts(template, settings)[1]
+    fit = align(template.grey, grey, ring > 0, start)
+    if fit is None:
+        return None
+    flat = (template.corners_px - template.origin_px) / template.reduce
+    corners = origin + template.reduce * (flat @ fit.matrix[:, :2].T + fit.matrix[:, 2])
+    rear = _dense_growth(fit, ring)
+    half = float(np.hypot(*size_px(template.corners_px))) / 2
+    return FlowStep(corners_px=corners, sigma_px=float(np.hypot(POINT_FLOOR_PX * template.reduce, rear.sigma * half)), plate=None,
+                    rear=rear)  # fmt: skip
+
+
+def _start(template: Template, image: Image, now_px: Array) -> tuple[Image, Array, Array]:
+    """A window of the later image where the corners now_px are expected, the place of its pixel (0, 0), and the map there."""
     rows, cols = template.grey.shape
     at = np.rint(template.origin_px + now_px.mean(axis=0) - template.corners_px.mean(axis=0))
     grey, origin = _window(image, int(at[0]), int(at[1]), cols, rows, template.reduce)
@@ -127,17 +162,16 @@ def grow(template: Template, image: Image, now_px: Array, settings: FlowSettings
     # from template pixels to window pixels: source = origin + reduce * pixel in both
     linear = move[:, :2]
     shift = (linear @ template.origin_px + move[:, 2] - origin) / template.reduce
-    start = np.column_stack([linear, shift])
+    return grey, origin, np.column_stack([linear, shift])
+
+
+def _parts(template: Template, settings: FlowSettings) -> tuple[Image, Image]:
     flat = (template.corners_px - template.origin_px) / template.reduce
-    found: list[Growth | None] = []
-    for mask in _masks(template.grey.shape, flat, settings.ring * size_px(flat)[1]):
-        fit = align(template.grey, grey, mask > 0, start)
-        if fit is None:
-            found.append(None)
-            continue
-        sigma = float(np.hypot(fit.ratio_sigma, GROWTH_FLOOR))
-        found.append(Growth(ratio=fit.ratio, sigma=sigma, points=int((mask > 0).sum())))
-    return found[0], found[1]
+    return _masks(template.grey.shape, flat, settings.ring * size_px(flat)[1])
+
+
+def _dense_growth(fit: Alignment, mask: Image) -> Growth:
+    return Growth(ratio=fit.ratio, sigma=float(np.hypot(fit.ratio_sigma, GROWTH_FLOOR)), points=int((mask > 0).sum()))
 
 
 def _masks(shape: tuple[int, ...], corners: Array, ring: float) -> tuple[Image, Image]:

@@ -13,7 +13,8 @@ import numpy as np
 
 from tmde_edge.messages import Frame, Mode, PlateSighting, Point, ScaleChange, Sighting, VehicleBox
 from tmde_edge.vision.detect.contour import box_iou
-from tmde_edge.vision.flow import FlowStep, Growth, Template, follow, grow, make_template
+from tmde_edge.vision.flow import FlowStep, Growth, Template, follow, follow_rear, grow, make_template
+from tmde_edge.vision.likeness import Looks, view_of
 from tmde_edge.vision.protocols import Image, PlateCandidate, PlateReader, PlateReading
 from tmde_edge.vision.rectify import Array, bounds, is_convex, size_px
 from tmde_edge.vision.search import PlateSearch, Region, fovea_region
@@ -59,6 +60,7 @@ class _Track:
     anchor: Template | None = None  # where the present scale change starts
     anchor_ns: int = 0
     rear_ns: int = 0  # the vehicle's rear was last followed
+    looks: Looks = field(default_factory=Looks)
 
 
 @dataclass(slots=True)
@@ -187,6 +189,8 @@ class Perception:
         step = None
         if self._flow.enabled and track.template is not None:
             step = follow(track.template, image, guess, self._flow)
+            if (step is None or step.rear is None) and self._bridges(track) and not self._plate_followed(track, step, image):
+                step = follow_rear(track.template, image, guess, self._flow)
         if step is not None and not is_convex(step.corners_px):
             step = None
         track.corners_px = guess if step is None else step.corners_px
@@ -195,6 +199,13 @@ class Perception:
         # drift of the flow adds up until the next detection; without flow the guess is a plate's own motion off
         track.sigma_px = float(np.hypot(track.sigma_px, step.sigma_px if step is not None else 2.0))
         return step
+
+    @staticmethod
+    def _plate_followed(track: _Track, step: FlowStep | None, image: Image) -> bool:
+        """Whether the plate's own features went on with the plate, and not with what sweeps across it."""
+        if step is None or not is_convex(step.corners_px):
+            return False
+        return not track.looks.contradicted(view_of(image, step.corners_px))
 
     def _busy(self, t_ns: int, step_ns: int) -> bool:
         """Whether this frame has a full search to pay for, or follows one (lanes are looked for then), and others come soon."""
@@ -284,9 +295,11 @@ class Perception:
         plates: list[PlateSighting] = []
         for i, track in enumerate(tracks):
             reading = readings[i]
-            credible = self._credible(reading)
+            view = view_of(image, reading.corners_px) if is_convex(reading.corners_px) else None
+            credible = self._credible(reading) and not track.looks.contradicted(view)
             if credible and (i in matched or settled[i]):
                 self._hit(track, wanted[i], reading, t_ns, step_ns)
+                track.looks.learn(view)
                 plates += self._report(track, reading, track.score, "detector", image)
                 continue
             track.misses += 1
