@@ -56,11 +56,17 @@ def _verb(args: argparse.Namespace) -> Callable[[argparse.Namespace], int]:
 # -- arguments -----------------------------------------------------------------------------------------------------------
 
 
-def _common(parser: argparse.ArgumentParser, *, top: bool = False) -> None:
+def _common(parser: argparse.ArgumentParser, *, top: bool = False, several: bool = False) -> None:
     # Sub-commands must not overwrite with their defaults what stood before the verb.
     default: Any = None if top else argparse.SUPPRESS
     flag: Any = False if top else argparse.SUPPRESS
-    parser.add_argument("-c", "--config", metavar="FILE", type=Path, default=default, help="configuration (TOML)")
+    if several:
+        parser.add_argument(
+            "-c", "--config", metavar="FILE", type=Path, action="append", dest="config_files", default=[],
+            help="configuration (TOML), laid over what a recording brings; give two to compare them",
+        )  # fmt: skip
+    else:
+        parser.add_argument("-c", "--config", metavar="FILE", type=Path, default=default, help="configuration (TOML)")
     parser.add_argument(
         "--set", metavar="TABLE.KEY=VALUE", action="append", dest="overrides", default=[] if top else argparse.SUPPRESS,
         help="set one value, wins over the file; repeatable",
@@ -98,9 +104,11 @@ def _parser() -> argparse.ArgumentParser:
     desk.add_argument("--truth", metavar="FILE.csv", type=Path, help="true distances (columns frame, distance_m): adds errors")
     verbs = parser.add_subparsers(dest="verb", metavar="COMMAND", title="commands")
 
-    def verb(name: str, function: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
+    def verb(
+        name: str, function: Callable[[argparse.Namespace], int], text: str, *, several: bool = False
+    ) -> argparse.ArgumentParser:
         sub = verbs.add_parser(name, help=text, description=text)
-        _common(sub)
+        _common(sub, several=several)
         sub.set_defaults(function=function)
         return sub
 
@@ -174,6 +182,12 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--json", action="store_true", help="one JSON object")
     sub = verb("calibrate", _calibrate, "focal length and lens from a plate or a board at known distances")
     _calibrate_options(sub)
+    sub = verb("evaluate", _evaluate, "judges many recordings or labelled stills; compares two configurations", several=True)
+    sub.add_argument("sources", nargs="+", metavar="SOURCE", help="folders with video and truth.csv, with labels.csv; drive logs")
+    sub.add_argument("--jobs", type=int, metavar="N", help="processes (default: one a core)")
+    sub.add_argument("--out", type=Path, metavar="FILE", help="every row: .csv, or .parquet where pyarrow is there")
+    sub.add_argument("--json", action="store_true", help="the numbers as one JSON object")
+    sub.add_argument("--seed", type=int, default=0, help="of the bootstrap")
     sub = verb("bench", _bench, "how fast here: p50, p95, p99 of each stage by resolution")
     sub.add_argument("what", nargs="?", choices=["all", "detect"], default="all", help="detect: perception alone")
     sub.add_argument("--json", action="store_true", help="rows as JSON lines")
@@ -596,6 +610,42 @@ def _doctor(args: argparse.Namespace) -> int:
     checks = doctor.examine(config, doctor.Surroundings(status=lambda: running), args.config, _base_dir(args))
     print(doctor.as_json(checks) if args.json else "\n".join(check.line() for check in checks))
     return 1 if any(check.state == "fail" for check in checks) else 0
+
+
+def _evaluate(args: argparse.Namespace) -> int:
+    from tmde_edge.app import evaluate as ev
+    from tmde_edge.app import evaluate_metrics as metrics
+
+    if args.jobs is not None and args.jobs < 1:
+        raise UsageError(f"--jobs {args.jobs}: at least 1")
+    configs = ev.candidates([*([args.config] if args.config is not None else []), *args.config_files], args.overrides)
+    items = ev.find_items(args.sources)
+    rows: list[dict[str, Any]] = []
+    done = ev.evaluate(items, configs, args.jobs or ev.default_jobs())
+    for part in _progress(done, len(items) * len(configs), "evaluate", args.quiet):
+        rows += part
+    rows.sort(key=lambda r: (r["config"], r["recording"], r["frame"]))
+    if args.out is not None:
+        ev.write_rows(args.out, rows)
+        _say(args, f"{len(rows)} rows in {args.out}")
+    by = [[r for r in rows if r["config"] == c.name] for c in configs]
+    scored = [metrics.scores(part, seed=args.seed) for part in by]
+    compared = metrics.compare(by[0], by[1], seed=args.seed) if len(by) == 2 else []
+    worse = [d for d in compared if d.worse]
+    if args.json:
+        told = {c.name: [metrics.as_json(s) for s in found] for c, found in zip(configs, scored, strict=True)}
+        print(json.dumps({"configs": told, "differences": [metrics.as_json(d) for d in compared], "worse": len(worse)}))
+    else:
+        for c, found in zip(configs, scored, strict=True):
+            print(f"{c.name}: {len({r['recording'] for r in rows})} sources")
+            print("\n".join(metrics.score_lines(found)))
+        if compared:
+            print(f"A = {configs[0].name}, B = {configs[1].name}")
+            print("\n".join(metrics.difference_lines(compared)))
+    if worse:
+        names = ", ".join(f"{d.metric.stage} {d.metric.name}" for d in worse)
+        raise CheckFailedError(f"{configs[1].name} is worse than {configs[0].name}: {names}")
+    return 0
 
 
 def _calibrate(args: argparse.Namespace) -> int:

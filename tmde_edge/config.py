@@ -187,6 +187,20 @@ def load(path: Path | None, overrides: typing.Sequence[str] = ()) -> Config:
 
     Raises ConfigError: one line with what, where, the value and what to do.
     """
+    return from_tree(read_tree(path, overrides), str(path) if path is not None else "defaults")
+
+
+def merged(under: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
+    """A tree with another laid over it, table by table."""
+    out = dict(under)
+    for key, value in over.items():
+        below = out.get(key)
+        out[key] = merged(below, value) if isinstance(below, dict) and isinstance(value, dict) else value
+    return out
+
+
+def read_tree(path: Path | None, overrides: typing.Sequence[str] = ()) -> dict[str, Any]:
+    """The unchecked tree of a TOML file (None: empty) with overrides. Raises ConfigError."""
     tree: dict[str, Any] = {}
     if path is not None:
         try:
@@ -201,10 +215,9 @@ def load(path: Path | None, overrides: typing.Sequence[str] = ()) -> Config:
             ) from None
         except tomllib.TOMLDecodeError as e:
             raise ConfigError(f"configuration {path}: not TOML: {e}") from None
-    where = str(path) if path is not None else "defaults"
     for text in overrides:
         _override(tree, text)
-    return from_tree(tree, where)
+    return tree
 
 
 def from_tree(tree: dict[str, Any], where: str) -> Config:

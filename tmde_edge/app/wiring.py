@@ -31,7 +31,7 @@ from tmde_edge.app.records import Record
 from tmde_edge.app.replay import Outcome, replay
 from tmde_edge.canbus.alert_tx import AlertTransmitter
 from tmde_edge.canbus.ego_rx import EgoReceiver
-from tmde_edge.config import Config, from_tree, to_tree
+from tmde_edge.config import Config, from_tree, merged, to_tree
 from tmde_edge.errors import ConfigError, InputDataError
 from tmde_edge.estimation import Estimation, Parts
 from tmde_edge.messages import LaneSighting, Point, Pose
@@ -177,24 +177,28 @@ def log_config(config: Config, base_dir: Path, resting: RestingPose | None = Non
 def replay_log(path: Path) -> Outcome:
     """Replays a drive log with the configuration it carries."""
     with tempfile.TemporaryDirectory(prefix="tmde-replay-") as folder:
+        return replay(path, lambda kept: estimation_of_log(path, kept, Path(folder)))
 
-        def make(kept: dict[str, Any]) -> Estimation:
-            # The file's own path may lie anywhere; inside the replay it is just a name.
-            config = from_tree(kept["values"], f"configuration in {path}")
-            vehicle = config.can.vehicle
-            renamed: dict[str, str] = {}
-            for i, (name, text) in enumerate(kept["files"].items()):
-                renamed[name] = f"{i}-{Path(name).name}"
-                (Path(folder) / renamed[name]).write_bytes(text.encode("utf-8", errors="surrogateescape"))
-            vehicle = msgspec.structs.replace(vehicle, dbc=renamed.get(vehicle.dbc or "", vehicle.dbc))
-            config = msgspec.structs.replace(config, can=msgspec.structs.replace(config.can, vehicle=vehicle))
-            try:
-                resting = pose_state.from_tree(kept["resting"]) if "resting" in kept else None
-            except ValueError as error:
-                raise InputDataError(f"{path}: {error}") from None
-            return build_estimation(config, Path(folder), resting)
 
-        return replay(path, make)
+def estimation_of_log(path: Path, kept: dict[str, Any], folder: Path, over: dict[str, Any] | None = None) -> Estimation:
+    """The estimation of a drive log's own configuration, its files laid into `folder`; `over`: a tree laid over it.
+
+    Raises InputDataError, ConfigError.
+    """
+    config = from_tree(merged(kept["values"], over or {}), f"configuration in {path}")
+    # The file's own path may lie anywhere; inside the replay it is just a name.
+    vehicle = config.can.vehicle
+    renamed: dict[str, str] = {}
+    for i, (name, text) in enumerate(kept["files"].items()):
+        renamed[name] = f"{i}-{Path(name).name}"
+        (folder / renamed[name]).write_bytes(text.encode("utf-8", errors="surrogateescape"))
+    vehicle = msgspec.structs.replace(vehicle, dbc=renamed.get(vehicle.dbc or "", vehicle.dbc))
+    config = msgspec.structs.replace(config, can=msgspec.structs.replace(config.can, vehicle=vehicle))
+    try:
+        resting = pose_state.from_tree(kept["resting"]) if "resting" in kept else None
+    except ValueError as error:
+        raise InputDataError(f"{path}: {error}") from None
+    return build_estimation(config, folder, resting)
 
 
 def build_depth(config: Config, base_dir: Path) -> DepthSource | None:

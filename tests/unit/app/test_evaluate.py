@@ -1,0 +1,133 @@
+"""evaluate: rendered stills and a short drive with exact truth; metrics and the paired bootstrap; exit codes."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import pytest
+
+from tmde_edge.app import evaluate as ev
+from tmde_edge.app.evaluate_metrics import compare, scores
+from tmde_edge.app.evaluate_truth import TrueFrame, TruePlate, rows_of, still_labels
+from tmde_edge.cli import main
+from tmde_edge.errors import InputDataError, InputMissingError, UsageError
+from tmde_edge.simulation.camera import hd_camera
+from tmde_edge.simulation.stills import render_still
+
+CAMERA = hd_camera(700.0, 640, 360, height_m=1.0)
+
+
+@pytest.fixture(scope="module")
+def stills(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("stills")
+    names = ("tl_x_px", "tl_y_px", "tr_x_px", "tr_y_px", "br_x_px", "br_y_px", "bl_x_px", "bl_y_px")
+    with (folder / "labels.csv").open("w", newline="") as f:
+        rows = csv.writer(f)
+        rows.writerow(["image", *names, "characters", "char_height_px", "distance_m"])
+        for i, width_px in enumerate((90.0, 60.0, 120.0)):
+            still = render_still(width_px=width_px, seed=i + 3, camera=CAMERA, scenery=False)
+            cv2.imwrite(str(folder / f"{i}.png"), still.image)
+            rows.writerow([f"{i}.png", *still.corners_px.ravel().tolist(), len(still.glyph_boxes_px), still.char_height_px,
+                           still.distance_m])  # fmt: skip
+    (folder / "config.toml").write_text(
+        "[camera]\nwidth_px = 640\nheight_px = 360\nfx_px = 700.0\n[plates]\nexpect = ['de-mittel']\n"
+    )
+    return folder
+
+
+def test_labelled_stills_are_judged_per_stage(stills: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "rows.csv"
+    assert main(["evaluate", str(stills), "--jobs", "1", "--out", str(out), "--json", "-q"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    found = {(m["stage"], m["metric"]): m["value"] for m in told["configs"]["as recorded"]}
+    assert found["detection", "recall"] == 1.0
+    assert found["detection", "false a frame"] == 0.0
+    assert found["rectification", "corner error / height"] < 0.15
+    assert found["segmentation", "height error"] < 0.05
+    assert found["range", "ranged"] == 1.0
+    assert found["range", "median |error|"] < 0.03
+    rows = list(csv.DictReader(out.open()))
+    assert [r["image"] for r in rows] == ["0.png", "1.png", "2.png"]
+    assert float(rows[0]["distance_m"]) == pytest.approx(float(rows[0]["true_m"]), rel=0.05)
+
+
+def test_a_worse_configuration_is_exit_1_in_parallel(
+    stills: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    good, bad = tmp_path / "good.toml", tmp_path / "bad.toml"
+    good.write_text("")
+    bad.write_text("[camera]\nfx_px = 900.0\n")  # every distance 29 % too long
+    assert main(["evaluate", str(stills), "--config", str(good), "--config", str(bad), "--jobs", "2", "-q"]) == 1
+    told = capsys.readouterr()
+    assert "bad.toml is worse than good.toml: range median |error|" in told.err
+    assert "WORSE" in told.out
+    assert main(["evaluate", str(stills), "--config", str(bad), "--config", str(bad), "--jobs", "1", "-q"]) == 0
+
+
+def test_wrong_usage_and_missing_things(stills: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputMissingError, match="nothing to evaluate"):
+        ev.find_items([str(tmp_path)])
+    with pytest.raises(InputMissingError, match="no such"):
+        ev.find_items([str(tmp_path / "nowhere")])
+    with pytest.raises(UsageError, match="two at most"):
+        ev.candidates([Path("a"), Path("b"), Path("c")], [])
+    broken = tmp_path / "labels.csv"
+    broken.write_text("image,x,y,w,h\na.png,1,2,drei,4\n")
+    with pytest.raises(InputDataError, match="line 2: 'drei'"):
+        still_labels(broken)
+    with pytest.raises(UsageError, match="cannot be written"):
+        ev.write_rows(tmp_path / "no" / "rows.csv", [])
+
+
+def record(*plates: dict[str, Any]) -> dict[str, Any]:
+    return {"plates": list(plates), "lead": None}
+
+
+def plate(x: float, distance_m: float | None = 10.0) -> dict[str, Any]:
+    return {"corners": [[x, 0], [x + 50, 0], [x + 50, 10], [x, 10]], "characters": 7, "char_height_px": 7.0, "standard": "x",
+            "distance_m": distance_m, "sigma_m": 0.1}  # fmt: skip
+
+
+def test_rows_count_misses_false_plates_and_errors() -> None:
+    truth = TrueFrame(plates=[TruePlate(box=(0, 0, 50, 10), characters=7, distance_m=9.0),
+                              TruePlate(box=(200, 0, 250, 10), distance_m=20.0)])  # fmt: skip
+    first, second = rows_of(record(plate(1), plate(400)), truth, {"recording": "r", "frame": 0})
+    assert (first["found"], first["count_exact"], first["false_plates"]) == (1.0, 1.0, 1.0)
+    assert first["range_error"] == pytest.approx(1 / 9)
+    assert (second["found"], second["ranged"]) == (0.0, 0.0)
+    (nothing,) = rows_of(record(plate(5)), TrueFrame(), {"recording": "r", "frame": 1})
+    assert nothing["false_plates"] == 1.0
+    assert [r["found"] for r in rows_of({"error": "x"}, truth, {"recording": "r"})] == [0.0, 0.0]
+
+
+def test_intervals_hold_the_truth_and_pair_the_draws() -> None:
+    a = [{"recording": "r", "frame": i, "found": float(i % 4 > 0)} for i in range(200)]
+    (recall,) = scores(a)
+    assert recall.value == pytest.approx(0.75)
+    assert 0.65 < recall.low < 0.75 < recall.high < 0.85
+    b = [{**r, "found": 0.0 if r["frame"] == 1 else r["found"]} for r in a]
+    (same,), (down,) = compare(a, a), compare(a, [{**r, "found": r["found"] * (r["frame"] % 8 != 1)} for r in a])
+    assert (same.low, same.high, same.worse) == (0.0, 0.0, False)
+    assert down.worse
+    assert not compare(a, b)[0].worse  # one frame of 200 is no evidence
+
+
+def test_a_short_drive_and_its_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from tmde_edge.app.simulate import simulate
+
+    folder = tmp_path / "drives" / "follow"
+    simulate("follow", folder, max_frames=12)
+    log = tmp_path / "follow.mcap"
+    assert main(["--dry-run", str(folder / "video.mp4"), "-c", str(folder / "config.toml"), "--can-log", str(folder / "can.log"),
+                 "--record", str(log), "-q", "--set", "runtime.threads=1"]) == 0  # fmt: skip
+    (tmp_path / "follow.truth.csv").write_text((folder / "truth.csv").read_text())
+    capsys.readouterr()
+    assert main(["evaluate", str(tmp_path / "drives"), str(log), "--jobs", "1", "--json", "-q"]) == 0
+    found = {(m["stage"], m["metric"]): m for m in json.loads(capsys.readouterr().out)["configs"]["as recorded"]}
+    assert found["detection", "recall"]["count"] >= 12
+    assert found["lead", "reported"]["count"] == 24  # the drive and its log
+    assert found["lead", "median |error|"]["value"] < 0.1
