@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import re
 import shutil
@@ -22,6 +23,7 @@ import pytest
 
 from tmde_edge.adapters.video_out import VideoWriter
 from tmde_edge.app.wiring import replay_log
+from tmde_edge.cli import main
 
 DBC = Path(__file__).parents[2] / "config/tmde_edge.dbc"
 PATIENCE_S = 60.0  # on a machine that is busy with other tests
@@ -138,6 +140,38 @@ def test_frames_reach_the_bus_and_sigterm_ends_it_quickly(tmp_path: Path, clip: 
     assert outcome.difference is None, str(outcome.difference)
     assert outcome.torn is None
     assert outcome.outputs > 20
+
+
+def test_the_service_says_how_it_is_and_the_doctor_asks_it(
+    tmp_path: Path, clip: Path, bus: SerialBus, capsys: pytest.CaptureFixture[str]
+) -> None:
+    at = str(tmp_path / "status.sock")
+    can = {"can.enabled": "true", "can.interface": "slcan", "can.channel": bus.path, "can.transmit": "true"}
+    record = {"record.enabled": "true", "record.incidents": "true", "record.folder": str(tmp_path / "drives"),
+              "record.incident_after_s": "1", "runtime.status_socket": at}  # fmt: skip
+    service = Service(tmp_path, *settings(clip, **can, **record))
+    service.wait_for("frames on the bus", lambda: len(bus.frames) >= 40)
+    assert main(["status", "--json", "--socket", at]) == 0
+    status = json.loads(capsys.readouterr().out)
+    assert status["pid"] == service.process.pid
+    assert status["frames"]["decided"] > 0
+    assert status["frames"]["latency_p50_ms"] > 0
+    assert status["camera"]["fault"] is None
+    assert status["can"]["connected"] is True
+    assert status["can"]["sent"] > 0
+    assert status["board"]["memory_mb"] > 50
+    assert status["record"]["problem"] is None
+    assert main(["status", "--socket", at]) == 0
+    assert "played file clip.mp4: works" in capsys.readouterr().out
+    assert main(["incident", "--now", "a test", "--set", f"runtime.status_socket={at}"]) == 0
+    service.wait_for("an incident", lambda: list((tmp_path / "drives" / "incidents").glob("*-manual/alert.jpg")))
+    capsys.readouterr()
+    main(["doctor", "--json", "--set", f"runtime.status_socket={at}", "--set", "can.enabled=false"])
+    checks = {check["name"]: check for check in json.loads(capsys.readouterr().out)["checks"]}
+    assert "held by the service" in checks["camera"]["text"]
+    assert checks["service"]["state"] in ("ok", "warn")
+    service.stop()
+    assert main(["status", "--socket", at]) == 66
 
 
 def test_kill_9_leaves_a_readable_log_that_replays(tmp_path: Path, clip: Path) -> None:
