@@ -257,7 +257,9 @@ class Estimation:
         since_ns = self._travelled_ns.get(found.track_id, found.t_ns)
         self._travelled_ns[found.track_id] = found.t_ns
         travel_m = self._tracker.ego_motion.travel_m(since_ns, found.t_ns)
-        self._travel.add(found.track_id, found.t_ns, found.distance_m, found.noise_m, travel_m, ego.yaw_rate_radps)
+        self._travel.add(
+            found.track_id, found.t_ns, found.distance_m, found.noise_m, found.scale_sigma, travel_m, ego.yaw_rate_radps
+        )  # fmt: skip
 
     def _scale_changes(self, s: Sighting, camera: Camera | None) -> None:
         """Growth and place of the whole vehicle's rear; the plate's own growth is already in its ranges."""

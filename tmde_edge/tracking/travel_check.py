@@ -40,7 +40,8 @@ class _Run:
     t0_ns: int
     last_ns: int
     travelled_m: float = 0.0
-    samples: deque[tuple[float, float, float, float]] = field(default_factory=lambda: deque(maxlen=_SAMPLES))  # t, s, D, sigma
+    # t, s, D, its noise and its scale sigma
+    samples: deque[tuple[float, float, float, float, float]] = field(default_factory=lambda: deque(maxlen=_SAMPLES))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,9 +71,10 @@ class TravelCheck:
         self.mismatch: Mismatch | None = None
 
     def add(
-        self, track_id: int, t_ns: int, distance_m: float, noise_m: float, travel_m: float, yaw_rate_radps: float | None
+        self, track_id: int, t_ns: int, distance_m: float, noise_m: float, scale_sigma: float, travel_m: float,
+        yaw_rate_radps: float | None,
     ) -> None:
-        """One range of a track; travel_m is what we covered since its last one (any, for its first)."""
+        """One range of a track with its noise and the relative sigma that its frames share; travel_m since its last one."""
         run = self._runs.get(track_id)
         if yaw_rate_radps is not None and abs(yaw_rate_radps) > _TURN_RADPS:
             self._runs.pop(track_id, None)
@@ -83,7 +85,7 @@ class TravelCheck:
             run.travelled_m += travel_m
         run.last_ns = t_ns
         if not run.samples or t_ns - run.t0_ns - round(run.samples[-1][0] * 1e9) >= _EVERY_NS - 2_000_000:
-            run.samples.append(((t_ns - run.t0_ns) * 1e-9, run.travelled_m, distance_m, noise_m))
+            run.samples.append(((t_ns - run.t0_ns) * 1e-9, run.travelled_m, distance_m, noise_m, scale_sigma))
             if len(run.samples) % 5 == 0:
                 self._judge(track_id, run)
 
@@ -115,10 +117,10 @@ class TravelCheck:
 
 
 def standing_fit(values: Floats) -> tuple[float, float] | None:
-    """(off, sigma) from a run (n, 4) of t_s, travel_m, distance_m, noise_m; None where it says nothing or drives itself."""
+    """(off, sigma) from a run (n, 5) of t_s, travel_m, distance_m, noise_m, scale_sigma; None where it says nothing or drives."""
     if len(values) < _LEAST_SAMPLES:
         return None
-    t, s, d, _ = values.T
+    t, s, d, _, _ = values.T
     if s[-1] - s[0] < _LEAST_TRAVEL_M or d[0] < _LEAST_APPROACH * d[-1] or s[-1] - s[0] < _LEAST_SPEED_MPS * (t[-1] - t[0]):
         return None
     whole = _fit(values)
@@ -135,13 +137,20 @@ def standing_fit(values: Floats) -> tuple[float, float] | None:
 
 
 def _fit(values: Floats) -> tuple[float, float, float, float] | None:
-    """r, its sigma, u, its sigma of D = D0 + u t - r s, with the prior on u; sigmas grow where the residuals do."""
-    t, s, d, noise = values.T
+    """r, its sigma, u, its sigma of D = D0 + u t - r s + b g, with the prior on u; sigmas grow where the residuals do.
+
+    A small plate's ranges share an error that ends as it grows (b ~ 1 sigma of it, g, in two shapes): only what is left at the end scales
+    the whole run, as a wrong focal length does.
+    """
+    t, s, d, noise, scale = values.T
+    passing = d * np.sqrt(np.maximum(scale**2 - scale.min() ** 2, 0.0))
     # errors of edges last over some frames: neighbours say the same thing
     sigma = np.maximum(noise, 0.003 * d) * 1.5
-    design = np.column_stack([np.ones_like(t), t, -s]) / sigma[:, None]
+    design = np.column_stack([np.ones_like(t), t, -s, passing, passing * d / d.max()]) / sigma[:, None]
     normal = design.T @ design
     normal[1, 1] += 1.0 / _CREEP_MPS**2
+    normal[3, 3] += 1.0
+    normal[4, 4] += 1.0
     try:
         covariance = np.linalg.inv(normal)
     except np.linalg.LinAlgError:
