@@ -139,8 +139,8 @@ def standing_fit(values: Floats) -> tuple[float, float] | None:
 def _fit(values: Floats) -> tuple[float, float, float, float] | None:
     """r, its sigma, u, its sigma of D = D0 + u t - r s + b g, with the prior on u; sigmas grow where the residuals do.
 
-    A small plate's ranges share an error that ends as it grows (b ~ 1 sigma of it, g, in two shapes): only what is left at the end scales
-    the whole run, as a wrong focal length does.
+    A small plate's ranges share an error that ends as it grows (b ~ 1 sigma of it, g, in two shapes): only what is left at
+    the end scales the whole run, as a wrong focal length does.
     """
     t, s, d, noise, scale = values.T
     passing = d * np.sqrt(np.maximum(scale**2 - scale.min() ** 2, 0.0))
