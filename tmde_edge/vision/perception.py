@@ -283,12 +283,12 @@ class Perception:
     ) -> tuple[PlateSighting, ...]:
         """Reads every track where it was found (or where flow carried it) and every new candidate; updates the tracks."""
         tracks = list(self._tracks)
-        wanted = []
+        wanted, busy = [], self._busy(t_ns, step_ns)
         for i, t in enumerate(tracks):
             if i in matched:
                 t.found_ns, t.found_score = t_ns, matched[i].score
             if settled[i]:  # flow carries the place better than a search of the whole frame
-                wanted.append(PlateCandidate(corners_px=t.corners_px, score=t.found_score))
+                wanted.append(PlateCandidate(corners_px=t.corners_px, score=t.found_score, hurried=busy))
             else:
                 wanted.append(matched.get(i) or PlateCandidate(corners_px=t.corners_px, score=self._faded(t, t_ns)))
         readings = self._reader.read(image, wanted + fresh)

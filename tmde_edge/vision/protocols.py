@@ -17,6 +17,7 @@ class PlateCandidate:
 
     corners_px: NDArray[np.float64]
     score: float
+    hurried: bool = False  # one of many quick frames: the reader may leave out what takes long and changes little
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

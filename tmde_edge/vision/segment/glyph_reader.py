@@ -20,6 +20,7 @@ from tmde_edge.vision.settings import SegmenterSettings
 Array = NDArray[np.float64]
 MOVED_SIGMAS = 4.0  # an outline further than this from the network's corners is another edge
 FLOOR_SIGMA_PX = 0.15  # the network's own, at best
+BORDER_HEIGHT_PX = 24.0  # on lower plates no border line is wider than a pixel: nothing to measure
 REFINE_HEIGHT_PX = 16.0  # on lower plates border, margin and lettering run into one another: the network knows better
 
 
@@ -43,15 +44,18 @@ class GlyphReader:
         if not candidates:
             return []
         readings = self._network.read(image, np.stack([c.corners_px for c in candidates]))
-        return [self._measure(image, r) for r in readings]
+        return [self._measure(image, r, c.hurried) for r, c in zip(readings, candidates, strict=True)]
 
-    def _measure(self, image: Image, reading: GlyphReading) -> PlateReading:
+    def _measure(self, image: Image, reading: GlyphReading, hurried: bool) -> PlateReading:
         given_sigma = max(FLOOR_SIGMA_PX, float(np.sqrt(np.mean(np.square(reading.sigma_px)))))
         corners = steadied(reading.corners_px, given_sigma)
         given = OutlineFit(corners_px=corners, sigma_px=given_sigma, refined=False, blur_px=None)
         if reading.platehood < self._settings.platehood_min or not is_convex(reading.corners_px):
             return _plain(given, reading)
-        fit = self._outline(image, given, reading.light_on_dark)
+        if hurried:
+            fit = replace(given, refined=True)  # the network's corners, with their own sigma
+        else:
+            fit = self._outline(image, given, reading.light_on_dark)
         # glyphs are measured in the frame of the network's own corners: a wrong edge of the outline moves none of them
         view = flatten(image, given.corners_px)
         if view is None or not reading.glyphs:
@@ -60,7 +64,8 @@ class GlyphReader:
         edges, sigma = box_edges(view.grey, boxes, reading.light_on_dark)
         strokes = [stroke_width(ink_mask(view.grey, b, reading.light_on_dark)) / view.per_px for b in edges]
         main_strokes = [s for s, g in zip(strokes, reading.glyphs, strict=True) if g.main and s > 0]
-        border = border_thickness(view.grey, reading.light_on_dark)
+        visible = not hurried and size_px(given.corners_px)[1] >= BORDER_HEIGHT_PX
+        border = border_thickness(view.grey, reading.light_on_dark) if visible else None
         characters = tuple(
             _character(g, e, view, s, stroke)
             for g, e, s, stroke in zip(reading.glyphs, edges, sigma, strokes, strict=True)
