@@ -19,6 +19,7 @@ from tmde_edge.geometry.pinhole import Camera
 from tmde_edge.messages import (
     Alert,
     CanFrame,
+    CueRange,
     DepthEstimate,
     DepthReading,
     EgoState,
@@ -34,7 +35,13 @@ from tmde_edge.messages import (
     Tick,
 )
 from tmde_edge.pose.attitude import AttitudeEstimator
-from tmde_edge.pose.compensate import cosine_ratio, plate_height_possible, to_vehicle, view_from_vehicle
+from tmde_edge.pose.compensate import (
+    cosine_ratio,
+    plate_ground_range,
+    plate_height_possible,
+    to_vehicle,
+    view_from_vehicle,
+)
 from tmde_edge.pose.resting import RestingPose
 from tmde_edge.ranging.cover import CoverCheck
 from tmde_edge.ranging.depth_scale import DepthAligner
@@ -209,6 +216,8 @@ class Estimation:
         if found is not None and not self._height_possible(plate, found, camera):
             return None, "height above the road"
         self._scales[plate.track_id] = scale
+        if found is not None:
+            found = self._with_ground_cue(found, plate, camera)
         if found is not None and usable:
             self._tracker.update(found, _source(plate))
             if plate.source == "detector":
@@ -224,6 +233,17 @@ class Estimation:
         return plate_height_possible(
             (float(x_px), float(y_px)), found.distance_m, found.sigma_m, camera, self._pose, height_m
         )  # fmt: skip
+
+    def _with_ground_cue(self, found: RangeMeasurement, plate: PlateSighting, camera: Camera) -> RangeMeasurement:
+        """Beside the other cues, for people: its sigma is a third of the distance and more, so that it would change nothing."""
+        height_m = self._p.camera_height_m
+        if height_m is None or self._pose.source == "none":
+            return found
+        x_px, y_px = np.mean(plate.corners_px, axis=0)
+        ground = plate_ground_range((float(x_px), float(y_px)), camera, self._pose, height_m)
+        if ground is None:
+            return found
+        return replace(found, cues=(*found.cues, CueRange(cue="ground", distance_m=ground[0], sigma_m=ground[1], used=False)))
 
     def _take_course(self, s: Sighting) -> None:
         """The lane ahead, from pixels to metres on a flat road; its bend near us also teaches the yaw rate's zero."""

@@ -83,7 +83,8 @@ def main() -> None:
     frames = [Frame(t_ns=round(k / 30 * 1e9), index=k, image=picture(scenario, k)) for k in range(a.frames)]
     int8 = network_ms(a.int8_model, frames[0])
     full = network_ms(a.float_model, frames[0])
-    print(f"float {full[0]:.0f} ms, {full[1]:.0f} MB; int8 {int8[0]:.0f} ms, {int8[1]:.0f} MB; {int8[0] / full[0]:.2f} of the float time")
+    print(f"float {full[0]:.0f} ms, {full[1]:.0f} MB; int8 {int8[0]:.0f} ms, {int8[1]:.0f} MB; "
+          f"{int8[0] / full[0]:.2f} of the float time")  # fmt: skip
     pairs = [(loop_ms(frames, None), loop_ms(frames, a.int8_model)) for _ in range(2)]
     without, with_depth = (np.concatenate([p[i][10:] for p in pairs]) for i in (0, 1))
     print(f"main loop, median: {np.median(without):.2f} ms without, {np.median(with_depth):.2f} ms with depth "

@@ -19,6 +19,7 @@ FloatArray = NDArray[np.float64]
 
 LOWEST_PLATE_M = -0.15  # a plate's centre cannot hang below the road; the allowance is for hollows and crests
 HIGHEST_PLATE_M = 5.0
+PLATE_UP_M, PLATE_UP_SIGMA_M = 0.75, 0.22  # where a plate's centre usually hangs
 
 
 def view_from_vehicle(pose: Pose) -> FloatArray:
@@ -79,6 +80,17 @@ def ground_range(
     if not math.isfinite(distance_m) or sigma_m >= distance_m:  # knows nothing: the horizon is within one sigma
         return None
     return distance_m, sigma_m
+
+
+def plate_ground_range(centre_px: Point, camera: Camera, pose: Pose, camera_height_m: float) -> tuple[float, float] | None:
+    """Distance (m) and sigma of a plate by its row alone, from where plates may legally hang; None where that says nothing.
+
+    The ground-plane range of its centre against a plane as high as plates hang: lower edge 0.30 m or more, upper edge 1.20 m or
+    less above the road (Regulation (EU) 1003/2010, Annex II; other countries are alike). A very large sigma, but free of sizes.
+    """
+    return ground_range(
+        centre_px, camera, pose, camera_height_m - PLATE_UP_M, height_sigma_m=PLATE_UP_SIGMA_M
+    ) if camera_height_m > PLATE_UP_M + PLATE_UP_SIGMA_M else None  # fmt: skip
 
 
 def height_above_road(

@@ -14,6 +14,7 @@ from tmde_edge.pose.compensate import (
     ground_range,
     height_above_road,
     pitch_and_yaw,
+    plate_ground_range,
     plate_height_possible,
     to_vehicle,
     vanishing_point_px,
@@ -80,6 +81,18 @@ def test_compensated_ground_range_within_five_per_cent_at_30_m() -> None:
         without.append(abs(b[0] / 30.0 - 1.0) if b is not None else 1.0)
     assert np.median(with_pitch) < 0.05
     assert np.median(without) > 0.2
+
+
+def test_plate_row_and_legal_height_give_a_weak_range() -> None:
+    """A plate 0.9 m up at 20 m: its row says about that, within the large sigma; a low camera knows nothing."""
+    pose = Pose(pitch_rad=0.01, roll_rad=0.0, pitch_sigma_rad=0.001)
+    at = projected(np.array([[0.0, HEIGHT_M - 0.9, 20.0]]), pose)[0]
+    found = plate_ground_range((float(at[0]), float(at[1])), CAMERA, pose, HEIGHT_M)
+    assert found is not None
+    assert found[0] == pytest.approx(20.0 * (HEIGHT_M - 0.75) / (HEIGHT_M - 0.9))
+    assert abs(found[0] - 20.0) < found[1]
+    assert found[1] > 0.3 * 20.0
+    assert plate_ground_range((float(at[0]), float(at[1])), CAMERA, pose, 0.9) is None
 
 
 def test_paper_cosine_ratio_is_a_fraction_of_a_per_cent() -> None:
