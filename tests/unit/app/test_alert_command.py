@@ -93,4 +93,4 @@ def test_close_does_not_wait_for_what_runs(tmp_path: Path) -> None:
     wait_for(lambda: text(tmp_path) != "")
     start = time.perf_counter()
     hook.close()
-    assert time.perf_counter() - start < 1.5
+    assert time.perf_counter() - start < 20.0  # of the 60 s that it sleeps
