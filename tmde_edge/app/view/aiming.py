@@ -84,8 +84,8 @@ def sharpness(image: Image) -> float:
     part = image[top : h - top, left : w - left]
     grey = part if part.ndim == 2 else part[:, :, 1]  # green has most of the light
     fine = cv2.Laplacian(grey, cv2.CV_16S, ksize=1)
-    contrast = float(grey.std())
-    return float(fine.std()) / max(contrast, 4.0)
+    contrast = float(cv2.meanStdDev(grey)[1][0, 0])
+    return float(cv2.meanStdDev(fine)[1][0, 0]) / max(contrast, 4.0)
 
 
 def exposure(image: Image) -> dict[str, Any]:
