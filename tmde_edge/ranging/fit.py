@@ -28,7 +28,7 @@ _GLYPH_C = 2.4  # Cauchy scale in sigmas: 95 % efficient on Gaussian noise
 _CORNER_C = 3.0
 _WILD = 5.0  # sigmas
 _MOST_LENIENCE = 80.0  # cost
-_NEW_IN_A_FRAME = 0.5  # share of the variance of errors common to one frame's features
+_NEW_IN_A_FRAME = 0.2  # share of the variance of errors common to one frame: most of it is the text's shapes, which stay
 _PRIOR_DOF = 6.0  # residuals worse than stated must show on more than a few features before the noise is scaled
 _SIGNS = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
 

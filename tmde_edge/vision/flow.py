@@ -21,6 +21,8 @@ WIDEST_PX = 384  # of the window in tracking pixels
 MOTION_MARGIN_PX = 24  # of the window round the ring, in tracking pixels
 GROWTH_FLOOR = 2e-4  # of a ratio's sigma: lens, rolling shutter, a rear that is not flat
 PARTED_PX, PARTED = 1.0, 0.02  # plate and rear move apart by more than this, in pixels and plate widths: not one body
+# What compression and sampling do to a whole patch: tracking pixels at its rms radius; larger ones hold more blocks to average.
+DENSE_FLOOR_PX, DENSE_FLOOR_RADIUS_PX = 0.05, 20.0
 POINT_FLOOR_PX = 0.03  # error of one feature that residuals do not show, tracking pixels
 
 
@@ -171,7 +173,11 @@ def _parts(template: Template, settings: FlowSettings) -> tuple[Image, Image]:
 
 
 def _dense_growth(fit: Alignment, mask: Image) -> Growth:
-    return Growth(ratio=fit.ratio, sigma=float(np.hypot(fit.ratio_sigma, GROWTH_FLOOR)), points=int((mask > 0).sum()))
+    _, _, width, height = cv2.boundingRect(mask)
+    radius = float(np.hypot(width, height) / 12**0.5)
+    spread = DENSE_FLOOR_PX / radius * min(1.0, (DENSE_FLOOR_RADIUS_PX / radius) ** 0.5)
+    sigma = float(np.sqrt(fit.ratio_sigma**2 + GROWTH_FLOOR**2 + spread**2))
+    return Growth(ratio=fit.ratio, sigma=sigma, points=int((mask > 0).sum()))
 
 
 def _masks(shape: tuple[int, ...], corners: Array, ring: float) -> tuple[Image, Image]:

@@ -59,7 +59,7 @@ def test_growth_and_place_of_a_warped_frame(width_px):
         sigmas += [g.sigma for g in grow(template, now, step.corners_px, FLOW) if g is not None]
     assert len(dense) >= 8
     assert np.sqrt(np.mean(np.square(dense))) < 2.0
-    assert np.median(sigmas) < 0.15 / width_px
+    assert np.median(sigmas) < 0.35 / width_px  # the floor that compressed video asks for
 
 
 def test_nothing_to_follow_gives_none():
