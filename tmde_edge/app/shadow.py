@@ -33,8 +33,13 @@ class ShadowReport:
 
     @property
     def candidates(self) -> int:
-        """Warnings that the driver did not answer."""
-        return sum(i.get("verdict") == "candidate" for _, i in self.incidents if i.get("level") == "warning")
+        """Warnings that the driver did not answer; those that followed one another in one incident are all counted."""
+        return sum(_warnings(i) for _, i in self.incidents if i.get("verdict") == "candidate")
+
+
+def _warnings(info: Json) -> int:
+    later = info.get("alerts") or []
+    return (info.get("level") == "warning") + sum(a.get("level") == "warning" for a in later)
 
 
 def read_shadow(folder: Path) -> ShadowReport:

@@ -68,6 +68,16 @@ def test_nothing_watched_is_said_as_such(tmp_path: Path) -> None:
         read_shadow(tmp_path)
 
 
+def test_warnings_that_follow_one_another_are_all_counted(tmp_path: Path) -> None:
+    drive = Drive(tmp_path)
+    for _ in range(3):
+        drive.run(2)
+        drive.run(1, "warning")
+    drive.run(15)
+    drive.recorder.close()
+    assert as_json(read_shadow(tmp_path))["counts"] == {"cautions": 0, "warnings": 3, "false_alarm_candidates": 3}
+
+
 def test_a_torn_incident_spoils_no_report(driven: Path) -> None:
     (incident_folders(driven)[0] / "incident.json").write_text('{"level": "warn')
     j = as_json(read_shadow(driven))
