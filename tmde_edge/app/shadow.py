@@ -38,8 +38,8 @@ class ShadowReport:
 
 
 def _warnings(info: Json) -> int:
-    later = info.get("alerts") or []
-    return (info.get("level") == "warning") + sum(a.get("level") == "warning" for a in later)
+    levels = [info.get("level"), *(a.get("level") for a in info.get("alerts") or [])]
+    return levels.count("warning")
 
 
 def read_shadow(folder: Path) -> ShadowReport:
