@@ -23,6 +23,7 @@ from tmde_edge.calibration.quality import (
     check_calibration,
     check_capture,
     check_sighting,
+    edges_differ,
     fatal,
     outliers,
     same_size,
@@ -48,7 +49,7 @@ class Seen:
 
     found: PlateSighting
     plate: PlateSighting
-    sharpness: float
+    blur_px: float  # one sigma of its edges
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,14 +101,14 @@ def see_plate(eyes: Eyes, image: Image) -> Seen | Problem:
     if not sighting.plates:
         return Problem("no_plate", "no plate is found: is it lit, whole and sharp?")
     largest = max(sighting.plates, key=lambda p: _area(p))
-    return Seen(found=largest, plate=sharpened(image, largest), sharpness=_sharpness(image, largest))
+    return Seen(found=largest, plate=sharpened(image, largest), blur_px=edge_blur_px(image, largest))
 
 
 def shot_of(name: str, distance_m: float, size: tuple[int, int], seen: Sequence[Seen | Problem]) -> Shot:
     """A shot of the sharpest good frames; its problem is that of the best frame where none is good."""
     width_px, height_px = size
-    plates = sorted((s for s in seen if isinstance(s, Seen)), key=lambda s: -s.sharpness)
-    checked = [(s, check_sighting(s.found)) for s in plates]
+    plates = sorted((s for s in seen if isinstance(s, Seen)), key=lambda s: s.blur_px)
+    checked = [(s, check_sighting(s.found, s.blur_px)) for s in plates]
     good = tuple(s for s, problem in checked if problem is None)[:SHARPEST]
     base = Shot(name=name, distance_m=distance_m, width_px=width_px, height_px=height_px)
     if good:
@@ -123,7 +124,7 @@ def solve(shots: Sequence[Shot], job: PlateJob) -> PlateOutcome:
     refused: list[tuple[str, Problem]] = [(s.name, s.problem) for s in shots if s.problem is not None]
     captures = [
         Capture(name=s.name, distance_m=s.distance_m, width_px=s.width_px, height_px=s.height_px, straight=job.straight,
-                sightings=tuple(v.plate for v in s.seen))
+                sightings=tuple(v.plate for v in s.seen), edges_differ=max(edges_differ(v.found) for v in s.seen))
         for s in shots if s.problem is None
     ]  # fmt: skip
     for capture, problem in zip(captures, same_size(captures), strict=True):
@@ -181,14 +182,13 @@ def _area(plate: PlateSighting) -> float:
     return float(np.hypot(*(c[1] - c[0])) * np.hypot(*(c[3] - c[0])))
 
 
-def _sharpness(image: Image, plate: PlateSighting) -> float:
-    """Mean square of the Laplacian over the variance of the plate's picture: free of its contrast."""
-    c = np.array(plate.corners_px)
-    x0, y0 = np.maximum(np.floor(c.min(axis=0)), 0).astype(int)
-    x1, y1 = np.ceil(c.max(axis=0)).astype(int) + 1
-    patch = image[y0:y1, x0:x1]
-    if patch.size == 0:
-        return 0.0
-    grey = patch if patch.ndim == 2 else cv2.cvtColor(patch, cv2.COLOR_BGR2GRAY)
-    values = np.asarray(cv2.Laplacian(grey, cv2.CV_64F), dtype=np.float64)
-    return float(np.mean(values**2) / max(float(np.var(grey)), 1.0))
+def edge_blur_px(image: Image, plate: PlateSighting) -> float:
+    """One sigma of the plate's sharpest edges: a step of contrast C and spread s is at most C / (s sqrt(2 pi)) steep."""
+    c = np.array(plate.corners_px, dtype=np.float32)
+    size = max(8, round(float(np.hypot(*(c[1] - c[0]))))), max(8, round(float(np.hypot(*(c[3] - c[0])))))
+    flat = np.array([[0, 0], [size[0], 0], [size[0], size[1]], [0, size[1]]], np.float32)
+    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    patch = cv2.warpPerspective(grey, cv2.getPerspectiveTransform(c, flat), size).astype(np.float32)
+    contrast = float(np.percentile(patch, 95) - np.percentile(patch, 5))
+    slope = np.hypot(cv2.Sobel(patch, cv2.CV_32F, 1, 0), cv2.Sobel(patch, cv2.CV_32F, 0, 1)) / 8
+    return contrast / ((2 * np.pi) ** 0.5 * max(float(np.percentile(slope, 98)), 1e-3))

@@ -44,6 +44,7 @@ class Capture:
     height_px: int
     sightings: tuple[PlateSighting, ...]
     straight: bool = False
+    edges_differ: float = 0.0  # relative, of opposite edges as first found
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -23,8 +23,9 @@ MAX_TILT = 0.15  # relative difference of opposite edges
 MAX_TURN_RAD = 0.44
 MIN_WIDTH_PX = 40.0  # of the plate, and
 MIN_CHAR_PX = 7.0  # of its characters; two-row plates are narrow, long plates low
-MAX_BLUR_PX = 2.5  # one sigma of an edge
-MAX_BLUR_OF_CHAR = 0.09  # of a character's height: below, blur matters less than the tape
+MAX_BLUR_PX = 1.3  # one sigma of an edge; sharp pictures have 0.7 to 1.0
+MAX_BLUR_OF_CHAR = 0.085  # of a character's height: below, blur matters less than the tape
+TURNED = 0.06  # relative difference of opposite edges from which on wrong proportions are a turned plate's
 MIN_CAPTURES = 3
 TREND_SIGMAS = 3.0
 OUTLIER_SIGMAS = 4.0
@@ -41,8 +42,15 @@ class Problem:
     text: str
 
 
-def check_sighting(plate: PlateSighting) -> Problem | None:
-    """Whether one sighting of a plate is good enough to calibrate with."""
+def edges_differ(plate: PlateSighting) -> float:
+    """The larger relative difference of opposite edges: perspective, that is, how far the plate is turned away."""
+    c = np.array(plate.corners_px)
+    a = [float(np.hypot(*(c[i] - c[k]))) for i, k in ((1, 0), (2, 3), (3, 0), (2, 1))]
+    return max(abs(a[0] - a[1]) / (a[0] + a[1]), abs(a[2] - a[3]) / (a[2] + a[3])) * 2
+
+
+def check_sighting(plate: PlateSighting, blur_px: float | None) -> Problem | None:
+    """Whether one sighting of a plate is good enough to calibrate with; blur_px: one sigma of its edges in the image."""
     c = np.array(plate.corners_px)
     top, bottom = float(np.hypot(*(c[1] - c[0]))), float(np.hypot(*(c[2] - c[3])))
     left, right = float(np.hypot(*(c[3] - c[0]))), float(np.hypot(*(c[2] - c[1])))
@@ -56,7 +64,7 @@ def check_sighting(plate: PlateSighting) -> Problem | None:
             f"too small: the plate is {width:.0f} px wide and its characters {char:.1f} px tall; at least {MIN_WIDTH_PX:g} px "
             f"and {MIN_CHAR_PX:g} px are needed: go nearer",
         )
-    blur = plate.blur_px
+    blur = blur_px
     if blur is not None and blur > max(MAX_BLUR_PX, MAX_BLUR_OF_CHAR * (char or (left + right) / 3)):
         return Problem("blur", f"blurred: edges are {blur:.1f} px wide (one sigma); hold still, focus, add light")
     for first, second, what in ((top, bottom, "top and bottom"), (left, right, "left and right")):
@@ -80,6 +88,9 @@ def check_capture(found: CaptureFocal, standard: PlateStandard) -> Problem | Non
     ratio = (h / math.cos(found.lean_rad)) / (w / math.cos(found.yaw_rad))
     allowed = 0.05 + 3 * math.hypot(found.by_height_sigma, found.by_width_sigma)
     if abs(math.log(ratio)) > allowed:
+        if ratio > 1 and found.capture.edges_differ > TURNED:
+            return Problem("tilt", f"tilted: opposite edges differ by {100 * found.capture.edges_differ:.0f} % and the plate looks "
+                                   "too narrow; let it face the camera")  # fmt: skip
         return Problem(
             "shape", f"height and width disagree: f = {h:.0f} px by the plate's height, {w:.0f} px by its width; is it a "
             f"{standard.id} plate ({standard.name})?",

@@ -7,10 +7,11 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
-from tmde_edge.app.calibrate_plate import PlateJob, Seen, Shot, shot_of, solve
+from tmde_edge.app.calibrate_plate import PlateJob, Seen, Shot, edge_blur_px, shot_of, solve
 from tmde_edge.calibration.plate import PlateCalibration, measured_plate
 from tmde_edge.calibration.quality import check_sighting, fatal
 from tmde_edge.geometry.pinhole import Camera, view_from_vehicle
@@ -27,12 +28,12 @@ JOB = PlateJob(standard=PLATE)
 
 
 def shot(distance_m: float, stated_m: float | None = None, camera: Camera = CAMERA, *, seed: int = 0, noise: float = 0.0,
-         change: object = None, **scene: float) -> Shot:  # fmt: skip
+         change: object = None, blur_px: float = 0.8, **scene: float) -> Shot:  # fmt: skip
     rng = np.random.default_rng(seed)
     plate = sighting(PLATE, camera, distance_m=distance_m, rng=rng, corner_sigma=noise, glyph_sigma=noise / 3, **scene)
     if callable(change):
         plate = change(plate)
-    seen = Seen(found=plate, plate=plate, sharpness=1.0)
+    seen = Seen(found=plate, plate=plate, blur_px=blur_px)
     name = f"at {distance_m:g}"
     return shot_of(name, stated_m or distance_m, (camera.width_px, camera.height_px), [seen])
 
@@ -102,7 +103,6 @@ def moved(plate: PlateSighting, dy: tuple[float, float, float, float]) -> PlateS
 @pytest.mark.parametrize(
     ("change", "kind"),
     [
-        (lambda p: replace(p, blur_px=9.0), "blur"),
         (lambda p: replace(p, cut=True), "cut"),
         (lambda p: moved(p, (-20.0, 0.0, 0.0, 20.0)), "tilt"),
         (lambda p: moved(p, (9.0, 9.0, -9.0, -9.0)), "shape"),
@@ -137,4 +137,21 @@ def test_focal_lengths_out_of_range_and_the_tele_lens_with_its_prior() -> None:
 
 
 def test_check_sighting_passes_a_good_one() -> None:
-    assert check_sighting(shot(5.0).seen[0].found) is None
+    assert check_sighting(shot(5.0).seen[0].found, 0.9) is None
+
+
+def test_a_blurred_capture_is_named() -> None:
+    outcome = solve([shot(2.0), shot(3.0), shot(5.0), shot(10.0, blur_px=2.4)], JOB)
+    assert [(name, p.kind) for name, p in outcome.refused] == [("at 10", "blur")]
+    assert outcome.usable
+
+
+def test_edge_blur_is_measured_in_the_picture() -> None:
+    plate = shot(5.0).seen[0].found
+    flat = np.full((1080, 1920), 255, np.uint8)
+    (left, top), (right, low) = plate.corners_px[0], plate.corners_px[2]
+    flat[int(top) + 5 : int(low) - 5, int(left) + 20 : int(right) - 20 : 16] = 0
+    for k in range(1, 8):
+        flat[int(top) + 5 : int(low) - 5, int(left) + 20 + k : int(right) - 20 : 16] = 0
+    for sigma in (1.0, 2.0):
+        assert edge_blur_px(cv2.GaussianBlur(flat, (0, 0), sigma), plate) == pytest.approx(sigma, rel=0.35)
