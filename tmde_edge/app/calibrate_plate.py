@@ -20,6 +20,7 @@ from tmde_edge.calibration.plate import (
 )
 from tmde_edge.calibration.quality import (
     Problem,
+    aspect_of,
     check_calibration,
     check_capture,
     check_sighting,
@@ -124,7 +125,8 @@ def solve(shots: Sequence[Shot], job: PlateJob) -> PlateOutcome:
     refused: list[tuple[str, Problem]] = [(s.name, s.problem) for s in shots if s.problem is not None]
     captures = [
         Capture(name=s.name, distance_m=s.distance_m, width_px=s.width_px, height_px=s.height_px, straight=job.straight,
-                sightings=tuple(v.plate for v in s.seen), edges_differ=max(edges_differ(v.found) for v in s.seen))
+                sightings=tuple(v.plate for v in s.seen), edges_differ=max(edges_differ(v.found) for v in s.seen),
+                aspect=float(np.median([aspect_of(v.found) for v in s.seen])))
         for s in shots if s.problem is None
     ]  # fmt: skip
     for capture, problem in zip(captures, same_size(captures), strict=True):

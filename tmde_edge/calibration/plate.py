@@ -44,7 +44,8 @@ class Capture:
     height_px: int
     sightings: tuple[PlateSighting, ...]
     straight: bool = False
-    edges_differ: float = 0.0  # relative, of opposite edges as first found
+    edges_differ: float = 0.0  # relative, of opposite edges as first found,
+    aspect: float | None = None  # and height over width
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
