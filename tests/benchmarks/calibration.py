@@ -3,7 +3,8 @@
 python tests/benchmarks/calibration.py [--count 24] [--cache FOLDER]
 python tests/benchmarks/calibration.py --pictures docs/images      the captures of docs/calibration.md, one good, each bad kind
 
-A plate that is too small at 10 m is refused; a nearer one (3 m) then stands in, as the prompt asks. Two series are printed: distances and plate sizes exactly as stated, and with a tape (5 mm) and a ruler (0.4 mm) that err.
+A plate that is too small at 10 m is refused; a nearer one (3 m) then stands in, as the prompt asks.
+Two series are printed: distances and plate sizes exactly as stated, and with a tape (5 mm) and a ruler (0.4 mm) that err.
 The stated sigma is judged by the second; f within 0.5 % by the first.
 """
 

@@ -194,8 +194,8 @@ def _ros_values(path: Path, text: str) -> dict[str, Any]:
 def _opencv_values(path: Path) -> dict[str, Any]:
     try:
         store = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
-    except cv2.error as e:
-        raise InputDataError(f"{path}: OpenCV cannot read it ({' '.join(str(e.err or e).split())})") from None
+    except (cv2.error, SystemError) as e:  # OpenCV's constructor wraps its own error
+        raise InputDataError(f"{path}: OpenCV cannot read it ({' '.join(str(e.__cause__ or e).split())})") from None
     try:
         out: dict[str, Any] = {"distortion": np.zeros(0)}
         for key, names in _NAMES.items():
