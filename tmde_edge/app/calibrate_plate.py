@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -193,4 +194,4 @@ def edge_blur_px(image: Image, plate: PlateSighting) -> float:
     patch = cv2.warpPerspective(grey, cv2.getPerspectiveTransform(c, flat), size).astype(np.float32)
     contrast = float(np.percentile(patch, 95) - np.percentile(patch, 5))
     slope = np.hypot(cv2.Sobel(patch, cv2.CV_32F, 1, 0), cv2.Sobel(patch, cv2.CV_32F, 0, 1)) / 8
-    return contrast / ((2 * np.pi) ** 0.5 * max(float(np.percentile(slope, 98)), 1e-3))
+    return contrast / (math.sqrt(2 * math.pi) * max(float(np.percentile(slope, 98)), 1e-3))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from datetime import datetime, timezone
 from pathlib import Path
 
@@ -156,6 +157,19 @@ def test_priors_by_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
     assert "pi-v3-wide" in capsys.readouterr().out
     assert main(["calibrate", "--camera", "imx296"]) == 78
     assert main(["calibrate", "--camera", "pi-v3", "--set", "camera.fx_px=900"]) == 2
+
+
+def test_a_prior_s_five_per_cent_are_in_every_distance(files: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    size = ["--set", "camera.width_px=640", "--set", "camera.height_px=360", "--set", 'plates.expect=["de-mittel"]']
+    ranges = []
+    for camera in (["--set", "camera.prior=c920"], ["--set", "camera.fx_px=453.33"]):
+        assert main(["measure", files[1], "--jsonl", "-", "-q", *size, *camera]) == 0
+        ranges.append(json.loads(capsys.readouterr().out)["plates"][0])
+    prior, calibrated = ranges
+    assert prior["distance_m"] == pytest.approx(calibrated["distance_m"], rel=1e-3)
+    expected = np.hypot(calibrated["sigma_m"], np.sqrt(0.05**2 - 0.005**2) * calibrated["distance_m"])
+    assert prior["sigma_m"] == pytest.approx(expected, rel=1e-3)
+    assert all(c["sigma_m"] >= 0.05 * c["distance_m"] for c in prior["cues"])
 
 
 @pytest.mark.parametrize("kind", ["ros", "opencv"])
