@@ -368,7 +368,7 @@ def main() -> int:
                     gone |= set(missing_before(service.log_folder(), moments))
                     moments = []
                     lost = {n: sum(r["at_ns"] in gone for r in rs) for n, rs in results.items()}
-                note = f"told {result['told_s']}, healthy {result['healthy_s']}"
+                note = f"told {result['told_s']}, healthy {result['healthy_s']} {' '.join(result['left'])}"
                 print(f"{i + 1}/{len(tries)} {name}: {note}", file=sys.stderr, flush=True)
                 if service.process.poll() is not None:
                     print((folder / "stderr.txt").read_text()[-3000:], file=sys.stderr)
