@@ -11,7 +11,7 @@ from tmde_edge.vision.segment.glyph_crop import apply_affine, invert_affine
 
 STRIDE_X_PX, STRIDE_Y_PX = 2, 4  # canvas pixels per cell of the glyph map
 BOX_SCALE_PX = 8.0  # of the box channels
-_HEAT_MIN = 0.30
+_HEAT_MIN = 0.40
 _OVERLAP_MAX = 0.45
 _LAPLACE_SD = float(np.sqrt(2.0))
 
