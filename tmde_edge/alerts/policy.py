@@ -25,7 +25,7 @@ class Situation:
     required_decel_mps2: float | None = None
     headway_s: float | None = None
     ego_speed_mps: float | None = None
-    standing: bool = False  # was never seen to move
+    standing: bool = False  # was never seen to move, and no lane tells that it stands in the path
     brake_pressed: bool | None = None
     turn_signal: Literal["left", "right", "none"] | None = None
 

@@ -24,7 +24,7 @@ class AlertSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     hysteresis: Positive = 1.2  # an alert ends when its threshold times this is passed
     confirm_s: NotNegative = 0.1  # the condition must hold this long
     hold_s: NotNegative = 0.8  # shortest alert
-    confidence_sigma: NotNegative = 1.0  # closing must be certain by this many sigmas
+    confidence_sigma: NotNegative = 1.5  # closing must be certain by this many sigmas
     active_speed_mps: NotNegative = 4.2  # on from here (GB/T 33577: relative speed min) ...
     inactive_speed_mps: NotNegative = 3.3  # ... off below here
     min_closing_mps: NotNegative = 1.0  # slower closing never alerts by TTC

@@ -58,6 +58,9 @@ def transition(model: str, dt_s: float, accel_sigma_mps2: float, accel_tau_s: fl
     return f, (q + q.T) / 2
 
 
+JUMP_SPEED_MPS = 2.0  # how far a lead's speed may be off after its ranges have jumped
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Innovation:
     """What a measurement said against the prediction."""
@@ -91,6 +94,13 @@ class RangeFilter:
         self._kf.P = np.diag(np.square(initial))
         self._anchor_ns = None
 
+    def _jump(self, distance_m: float, noise_m: float) -> None:
+        """The ranges agree on another distance. A vehicle does not jump: its measure changed, its speed hardly."""
+        speed, variance = float(self._kf.x[1, 0]), float(self._kf.P[1, 1])
+        self._start(distance_m, noise_m)
+        self._kf.x[1, 0] = speed
+        self._kf.P[1, 1] = min(variance + JUMP_SPEED_MPS**2, self._s.initial_speed_sigma_mps**2)
+
     def predict(self, dt_s: float, ego_travel_m: float = 0.0, ego_travel_sigma_m: float = 0.0) -> None:
         """Moves the state on by dt_s >= 0; ego_travel_m is what the own vehicle covered in it."""
         if dt_s <= 0:
@@ -123,7 +133,7 @@ class RangeFilter:
             recent = self._rejected[-self._s.gate_rejects :]
             if len(recent) == self._s.gate_rejects and max(recent) - min(recent) < 8 * noise_m + 0.05 * distance_m:
                 self._rejected.clear()
-                self._start(distance_m, noise_m)
+                self._jump(distance_m, noise_m)
                 return Innovation(residual=y, sigma=sigma, accepted=True)
             return Innovation(residual=y, sigma=sigma, accepted=False)
         self._rejected.clear()

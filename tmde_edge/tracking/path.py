@@ -79,6 +79,11 @@ class OwnPath:
         start = float(np.interp(v * dt_s, [0.0, *z], [0.0, *x]))  # we went along it meanwhile
         return here - start + yaw * dt_s * distance_m, float(np.interp(at_m, z, sigma)) + 0.1 * beyond_m
 
+    def lane_seen(self, t_ns: int, distance_m: float) -> bool:
+        """Whether the lane itself tells where the path is at this distance."""
+        seen = self._on_course(t_ns, distance_m)
+        return seen is not None and seen[1] <= _COURSE_SIGMA_M
+
     def offset_m(self, t_ns: int, lateral_m: float, lateral_sigma_m: float, distance_m: float) -> tuple[float, float]:
         """Offset of a place from the path, and its sigma.
 

@@ -104,3 +104,11 @@ def test_what_never_moved_is_told_of_late() -> None:
     assert run(AlertPolicy(S), 0, 1, ttc_s=2.3, closing_mps=20.0, standing=True)[-1] == ("warning", "ttc")
     assert run(AlertPolicy(S), 0, 1, ttc_s=2.3, closing_mps=12.0, standing=True)[-1][0] == "none"
     assert run(AlertPolicy(S), 0, 1, ttc_s=2.7, standing=False)[-1] == ("warning", "ttc")
+
+
+def test_the_turn_signal_holds_back_cautions_and_never_warnings() -> None:
+    s = AlertSettings(suppress_on_turn_signal=True)
+    assert run(AlertPolicy(s), 0, 1, ttc_s=3.4, turn_signal="left")[-1][0] == "none"
+    assert run(AlertPolicy(s), 0, 1, ttc_s=None, closing_mps=0.0, headway_s=0.2, turn_signal="right")[-1][0] == "none"
+    assert run(AlertPolicy(s), 0, 1, ttc_s=2.0, turn_signal="left")[-1] == ("warning", "ttc")
+    assert run(AlertPolicy(S), 0, 1, ttc_s=3.4, turn_signal="left")[-1] == ("caution", "ttc")

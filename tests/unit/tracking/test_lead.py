@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from tmde_edge.messages import EgoState, RangeMeasurement, ScaleChange
@@ -213,3 +214,23 @@ def test_one_growth_that_contradicts_a_settled_speed_is_not_believed_two_are() -
     f.predict(0.2, 2.0)
     assert not see(21, 1.1)
     assert f.range_rate_mps == pytest.approx(-20.0 * 0.4766, abs=1.0)
+
+
+def test_the_lane_ahead_decides_before_the_wheel_is_turned() -> None:
+    """Driving straight towards a left bend: what stands straight ahead is off the lane, what stands in the bend is on it."""
+    path = OwnPath()
+    z = np.linspace(5.0, 40.0, 12)
+    bend = np.column_stack([z, -np.maximum(z - 10.0, 0.0) ** 2 / 140, np.full(12, 0.1)])
+    for k in range(20):
+        path.set_ego(EgoState(t_ns=k * DT_NS, speed_mps=10.0, yaw_rate_radps=0.0))
+    now = 19 * DT_NS
+    assert path.offset_m(now, 0.0, 0.1, 30.0)[0] == 0.0
+    path.set_course(now, bend)
+    assert path.offset_m(now, 0.0, 0.1, 30.0)[0] == pytest.approx(400 / 140, abs=0.05)
+    assert path.offset_m(now, -400 / 140, 0.1, 30.0)[0] == pytest.approx(0.0, abs=0.05)
+    assert path.lane_seen(now, 45.0)
+    assert not path.lane_seen(now, 50.0)  # not seen so far
+    # 0.3 s later we are 3 m further; after half a second it is too old
+    later = now + 300_000_000
+    assert path.offset_m(later, 0.0, 0.1, 27.0)[0] == pytest.approx(400 / 140, abs=0.05)
+    assert path.offset_m(now + 600_000_000, 0.0, 0.1, 27.0)[0] == 0.0
