@@ -58,7 +58,7 @@ def transition(model: str, dt_s: float, accel_sigma_mps2: float, accel_tau_s: fl
     return f, (q + q.T) / 2
 
 
-JUMP_SPEED_MPS = 2.0  # how far a lead's speed may be off after its ranges have jumped
+JUMP_SPEED_MPS = 1.0  # how far a speed may be off after its ranges have jumped: hard braking while they were not believed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -171,6 +171,7 @@ class RangeFilter:
         sigma = (float(self._kf.P[1, 1]) + r) ** 0.5
         if abs(y) > self._s.gate_sigma * sigma:
             return Innovation(residual=y, sigma=sigma, accepted=False)
+        r = _huber(r, sigma**2, abs(y) / sigma)
         self._kf.update(np.array([[z]]), R=np.array([[r]]), H=np.array([[0.0, 1.0, 0.0, 0.0, 0.0]]))
         return Innovation(residual=y, sigma=sigma, accepted=True)
 

@@ -177,3 +177,19 @@ def test_a_speed_that_wild_first_ranges_made_up_starts_anew_from_growth() -> Non
     f.restart_closing(-7.0 / 29.0, 0.01)
     assert f.range_rate_mps == pytest.approx(-7.0, abs=1.0)
     assert 0.5 < float(f.covariance[1, 1]) ** 0.5 < 2.0
+
+
+def test_ranges_that_jump_do_not_become_closing() -> None:
+    """Glare changes what is measured: 21 m become 18.5 m; one wild growth of the image must not make a collision of it."""
+    f = RangeFilter(S, distance_m=21.0, noise_m=0.3, ego_speed_mps=14.0)
+    for k in range(60):
+        f.predict(1 / 30, 14.0 / 30)
+        f.update_range(21.0, 0.3)
+        if k % 6 == 0:
+            f.update_inverse_ttc(0.0, 0.01)
+    for _ in range(8):
+        f.predict(1 / 30, 14.0 / 30)
+        f.update_range(18.6, 0.3)
+    assert f.distance_m == pytest.approx(18.6, abs=0.4)
+    f.update_inverse_ttc(-7.0 / 18.6, 0.01)
+    assert f.range_rate_mps > -2.0
