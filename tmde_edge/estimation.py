@@ -219,7 +219,7 @@ class Estimation:
         if found is not None:
             found = self._with_ground_cue(found, plate, camera)
         if found is not None and usable:
-            self._tracker.update(found, _source(plate))
+            self._tracker.update(found, _source(plate), guessed=guessed)
             if plate.source == "detector":
                 self._check_travel(found)
         return found, reason

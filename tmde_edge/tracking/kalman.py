@@ -121,14 +121,19 @@ class RangeFilter:
             self._kf.x[1, 0] += ego_speed_mps if ego_speed_mps is not None else -(self._ego_speed_mps or 0.0)
         self._ego_speed_mps = ego_speed_mps
 
-    def update_range(self, distance_m: float, noise_m: float) -> Innovation:
-        """One range with its per-frame noise; outside the gate it is not used, unless several in a row agree."""
+    def update_range(self, distance_m: float, noise_m: float, *, guessed: bool = False) -> Innovation:
+        """One range with its per-frame noise; outside the gate it is not used, unless several in a row agree.
+
+        `guessed`: of an outline that was only carried along; its error is the same in every frame, so agreeing is no proof.
+        """
         r = noise_m**2
         s = float(self._kf.P[0, 0]) + r
         y = distance_m - float(self._kf.x[0, 0])
         sigma = s**0.5
         n = abs(y) / sigma
         if n > self._s.gate_sigma:
+            if guessed:
+                return Innovation(residual=y, sigma=sigma, accepted=False)
             self._rejected.append(distance_m)
             recent = self._rejected[-self._s.gate_rejects :]
             if len(recent) == self._s.gate_rejects and max(recent) - min(recent) < 8 * noise_m + 0.05 * distance_m:

@@ -118,7 +118,7 @@ class LeadTracker:
         """False where only depth still carries the track: it is shown then, and nothing is told of it."""
         return track.without_depth is None or not self._over(track, track.without_depth, t_ns, self._s.coast_s)
 
-    def update(self, measurement: RangeMeasurement, source: Source) -> Track:
+    def update(self, measurement: RangeMeasurement, source: Source, *, guessed: bool = False) -> Track:
         """One range of one track; predict() must have been called for its time."""
         track = self.tracks.get(measurement.track_id) or self._adopt(measurement)
         if track is None:
@@ -141,9 +141,9 @@ class LeadTracker:
             track.filter.set_anchor(measurement.t_ns)
             self.tracks[track.track_id] = track
             return track
-        innovation = track.filter.update_range(measurement.distance_m, measurement.noise_m)
+        innovation = track.filter.update_range(measurement.distance_m, measurement.noise_m, guessed=guessed)
         if track.without_depth is not None:
-            track.without_depth.update_range(measurement.distance_m, measurement.noise_m)
+            track.without_depth.update_range(measurement.distance_m, measurement.noise_m, guessed=guessed)
             track.seen_again += 1
             if track.seen_again >= SEEN_AGAIN:
                 track.without_depth = None

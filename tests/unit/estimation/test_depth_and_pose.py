@@ -61,7 +61,8 @@ def test_depth_carries_a_hidden_lead() -> None:
 
 def test_depth_alone_raises_no_alert(monkeypatch: pytest.MonkeyPatch) -> None:
     """The hidden lead comes at us, as depth sees it: nobody is told, however easily the policy is alarmed."""
-    alarmed = ["alerts.max_ttc_s=60", "alerts.caution_ttc_s=50", "alerts.warning_ttc_s=45", "alerts.confidence_sigma=0"]
+    alarmed = ["alerts.max_ttc_s=60", "alerts.caution_ttc_s=50", "alerts.warning_ttc_s=45", "alerts.confidence_sigma=0",
+               "alerts.min_closing_mps=0.1"]  # fmt: skip
 
     def levels() -> set[str]:
         told = gap(make(*CALIBRATED, *DEPTH, *alarmed), depth=True, rate_mps=-4.0, hidden_s=1.8)

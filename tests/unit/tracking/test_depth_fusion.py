@@ -82,6 +82,16 @@ def test_what_was_learnt_while_seen_helps_when_hidden() -> None:
     assert error_m < 2.5 * sigma_m
 
 
+def test_outlines_only_carried_along_cannot_agree_with_themselves() -> None:
+    """A half-covered outline that flow repeats in every frame says 26 m at 20 m: it never takes over; real ranges do."""
+    for guessed, expected_m in ((True, 20.0), (False, 26.0)):
+        f = seen(20.0)
+        for _ in range(8):
+            f.predict(1 / 30)
+            f.update_range(26.0, 0.4, guessed=guessed)
+        assert f.distance_m == pytest.approx(expected_m, abs=0.3)
+
+
 def test_a_reading_far_off_is_left_out() -> None:
     f = seen(20.0)
     before = f.distance_m
