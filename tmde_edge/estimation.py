@@ -301,7 +301,10 @@ class Estimation:
         if found is not None and chosen is not None and reading_ns is not None and reading_ns != self._depth_taken_ns:
             self._depth_taken_ns = reading_ns
             self._tracker.update_depth(chosen, found.distance_m, found.sigma_m, reading_ns, s.t_ns)
-        return found
+        if found is None:
+            return None
+        # Depth is aligned to our own ranges and shares the focal length's error with them: told, but no noise in the fusion.
+        return replace(found, sigma_m=math.hypot(found.sigma_m, camera.focal_sigma * found.distance_m))
 
     def _lead(self, t_ns: int, track: Track | None) -> LeadEstimate | None:
         if track is None:
