@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -81,6 +82,17 @@ def test_wrong_usage_and_missing_things(stills: Path, tmp_path: Path) -> None:
         still_labels(broken)
     with pytest.raises(UsageError, match="cannot be written"):
         ev.write_rows(tmp_path / "no" / "rows.csv", [])
+
+
+def test_parquet_where_pyarrow_is_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rows = [{"config": "a", "recording": "r", "frame": 1, "found": 1.0}, {"config": "a", "recording": "r", "frame": 2}]
+    with monkeypatch.context() as m:
+        m.setitem(sys.modules, "pyarrow", None)
+        with pytest.raises(UsageError, match="needs pyarrow"):
+            ev.write_rows(tmp_path / "rows.parquet", rows)
+    parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")
+    ev.write_rows(tmp_path / "rows.parquet", rows)
+    assert parquet.read_table(tmp_path / "rows.parquet").column("found").to_pylist() == [1.0, None]
 
 
 def record(*plates: dict[str, Any]) -> dict[str, Any]:
