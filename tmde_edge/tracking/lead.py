@@ -228,13 +228,15 @@ class LeadTracker:
         return self.path.offset_m(track.t_ns, track.lateral_m, track.lateral_sigma_m, track.filter.distance_m)
 
     def _in_path(self, track: Track) -> bool:
-        """With hysteresis. What stands and never moved is mostly parked: it must be in the path for certain."""
+        """With hysteresis. What stands and never moved is mostly parked: lane and arc must both lead to it."""
         if _oncoming(track, self._ego):
             return False
         offset_m, sigma_m = self.path_offset_m(track)
         if not track.moved:
             limit_m = self._s.standing_leave_m if track.in_path else self._s.standing_half_width_m
-            return abs(offset_m) + self._s.standing_sigma * sigma_m <= limit_m
+            arc_m, arc_sigma_m = self.path.arc_offset_m(track.lateral_m, track.lateral_sigma_m, track.filter.distance_m)
+            worst_m = max(abs(o) + self._s.standing_sigma * s for o, s in ((offset_m, sigma_m), (arc_m, arc_sigma_m)))
+            return worst_m <= limit_m
         return abs(offset_m) <= (self._s.path_leave_m if track.in_path else self._s.path_half_width_m)
 
     def choose(self, t_ns: int) -> Track | None:

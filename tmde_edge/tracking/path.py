@@ -82,20 +82,23 @@ class OwnPath:
     def lane_seen(self, t_ns: int, distance_m: float) -> bool:
         """Whether the lane itself tells where the path is at this distance."""
         seen = self._on_course(t_ns, distance_m)
-        return seen is not None and seen[1] <= _COURSE_SIGMA_M
+        return seen is not None and seen[1] <= _COURSE_SIGMA_M and distance_m <= float(self._course[-1, 0])
 
     def offset_m(self, t_ns: int, lateral_m: float, lateral_sigma_m: float, distance_m: float) -> tuple[float, float]:
-        """Offset of a place from the path, and its sigma.
+        """Offset of a place from the path, and its sigma: along the lane where it is seen that far, else along the arc."""
+        seen = self._on_course(t_ns, distance_m)
+        if seen is not None and seen[1] <= _COURSE_SIGMA_M:
+            return lateral_m - seen[0], math.hypot(lateral_sigma_m, _HEADING_RAD * distance_m, seen[1])
+        return self.arc_offset_m(lateral_m, lateral_sigma_m, distance_m)
 
-        Along the lane where it is seen that far, else along the arc of yaw rate over speed.
+    def arc_offset_m(self, lateral_m: float, lateral_sigma_m: float, distance_m: float) -> tuple[float, float]:
+        """Offset from the arc of yaw rate over speed, and its sigma.
+
         The arc moves the path by kappa D^2 / 2. A wheel that turns just now bends it further; how far is not known, so
         half of it is expected and half of it is doubt.
         """
         sigma_m = math.hypot(lateral_sigma_m, _HEADING_RAD * distance_m)
         ego = self._ego
-        seen = self._on_course(t_ns, distance_m)
-        if seen is not None and seen[1] <= _COURSE_SIGMA_M:
-            return lateral_m - seen[0], math.hypot(sigma_m, seen[1])
         if ego is None or ego.yaw_rate_radps is None or ego.speed_mps < _LEAST_SPEED_MPS:
             return lateral_m, sigma_m
         v = ego.speed_mps

@@ -228,8 +228,8 @@ def test_the_lane_ahead_decides_before_the_wheel_is_turned() -> None:
     path.set_course(now, bend)
     assert path.offset_m(now, 0.0, 0.1, 30.0)[0] == pytest.approx(400 / 140, abs=0.05)
     assert path.offset_m(now, -400 / 140, 0.1, 30.0)[0] == pytest.approx(0.0, abs=0.05)
-    assert path.lane_seen(now, 45.0)
-    assert not path.lane_seen(now, 50.0)  # not seen so far
+    assert path.lane_seen(now, 39.0)
+    assert not path.lane_seen(now, 45.0)  # not seen so far
     # 0.3 s later we are 3 m further; after half a second it is too old
     later = now + 300_000_000
     assert path.offset_m(later, 0.0, 0.1, 27.0)[0] == pytest.approx(400 / 140, abs=0.05)
