@@ -45,6 +45,15 @@ class EgoMotion:
         first_t, first_v, first_s = self._samples[0]
         return first_s - first_v * (first_t - t_ns) * 1e-9
 
+    def braking_mps2(self) -> float:
+        """Own deceleration over the last half second, 0 where we do not brake or it is not known."""
+        recent = [(t * 1e-9, v) for t, v, _ in self._samples if self._samples[-1][0] - t <= 500_000_000]
+        if len(recent) < 4 or recent[-1][0] - recent[0][0] < 0.25:
+            return 0.0
+        mean_t, mean_v = (sum(x) / len(recent) for x in zip(*recent, strict=True))
+        spread = sum((t - mean_t) ** 2 for t, _ in recent)
+        return max(0.0, -sum((t - mean_t) * (v - mean_v) for t, v in recent) / spread)
+
     def travel_m(self, from_ns: int, to_ns: int) -> float:
         """Metres covered between two times; 0 where no speed is known."""
         if not self._samples:

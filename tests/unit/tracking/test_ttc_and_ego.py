@@ -78,3 +78,12 @@ def test_old_samples_change_nothing() -> None:
     assert ego.travel_m(1_000_000_000, 2_000_000_000) == pytest.approx(10.0)
     ego.clear()
     assert ego.travel_m(0, 1_000_000_000) == 0.0
+
+
+@pytest.mark.parametrize("decel", [-1.0, 0.0, 2.0, 6.0])
+def test_own_braking(decel: float) -> None:
+    motion = EgoMotion()
+    assert motion.braking_mps2() == 0.0
+    for k in range(50):
+        motion.add(EgoState(t_ns=k * 20_000_000, speed_mps=15.0 - decel * k * 0.02, yaw_rate_radps=None))
+    assert motion.braking_mps2() == pytest.approx(max(decel, 0.0), abs=1e-6)
