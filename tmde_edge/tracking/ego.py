@@ -52,7 +52,8 @@ class EgoMotion:
             return 0.0
         mean_t, mean_v = (sum(x) / len(recent) for x in zip(*recent, strict=True))
         spread = sum((t - mean_t) ** 2 for t, _ in recent)
-        return max(0.0, -sum((t - mean_t) * (v - mean_v) for t, v in recent) / spread)
+        slope = sum((t - mean_t) * (v - mean_v) for t, v in recent) / spread
+        return max(0.0, -float(slope))
 
     def travel_m(self, from_ns: int, to_ns: int) -> float:
         """Metres covered between two times; 0 where no speed is known."""
