@@ -210,6 +210,8 @@ def _first_step(
         return None
     rows = int(np.clip(length, 24, 72))
     _, grey = _profiles(patch, a, b, rows, across, (0.0, guess[1]))
+    if not len(grey):  # the turned side leaves the image
+        return None
     offset = first_step(_middle(grey), across)
     if offset is None:
         return None
@@ -220,7 +222,7 @@ def _first_step(
     if side is None:
         return None
     _, grey = _profiles(patch, a, b, rows, across, (0.0, side.at_end_px - side.at_start_px))
-    return side, _middle(grey)
+    return (side, _middle(grey)) if len(grey) else None
 
 
 def _middle(rows: Array) -> Array:
