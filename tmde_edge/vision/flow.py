@@ -23,6 +23,7 @@ GROWTH_FLOOR = 2e-4  # of a ratio's sigma: lens, rolling shutter, a rear that is
 PARTED_PX, PARTED = 1.0, 0.02  # plate and rear move apart by more than this, in pixels and plate widths: not one body
 # What compression and sampling do to a whole patch: tracking pixels at its rms radius; larger ones hold more blocks to average.
 DENSE_FLOOR_PX, DENSE_FLOOR_RADIUS_PX = 0.05, 20.0
+SETTLED = 1e-7  # change of the similarity from which a fit is the same: a millionth of a pixel over a plate
 POINT_FLOOR_PX = 0.03  # error of one feature that residuals do not show, tracking pixels
 
 
@@ -221,8 +222,10 @@ def fit_similarity(p: Array, q: Array, floor_px: float) -> Similarity | None:
         spread = (weights * np.abs(zp - cp) ** 2).sum()
         if spread < 1e-9:
             return None
-        m = complex((weights * (zq - cq) * (zp - cp).conj()).sum() / spread)
+        before, m = m, complex((weights * (zq - cq) * (zp - cp).conj()).sum() / spread)
         t = complex(cq - m * cp)
+        if abs(m - before) < SETTLED:
+            break
     used = weights > 0.1
     count = int(used.sum())
     if count < 3 or count < 0.5 * n:
