@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 SCENARIO = "approach"
-FPS = 10.0
+FPS = 5.0  # User-Mode Linux is two to four times slower than its host
 WIDTH_PX, HEIGHT_PX = 640, 360
 LEFT_PX, TOP_PX = 320, 250  # of the window that is cut out of the rendered picture: road and lead, full resolution
 HOLD_S = 3.0  # the first picture stands this long before the drive begins

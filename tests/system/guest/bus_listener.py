@@ -49,11 +49,13 @@ class Seen:
 
 
 class BusListener:
-    """candump -L on a thread; `since` gives what came after a moment."""
+    """candump -L on a thread (-D: it outlives a bus that goes down); `since` gives what came after a moment."""
 
     def __init__(self, channel: str) -> None:
         self.frames: list[Seen] = []
-        self._process = subprocess.Popen(["candump", "-L", f"{channel},6D0:7FC"], stdout=subprocess.PIPE, text=True, bufsize=1)
+        self._process = subprocess.Popen(
+            ["candump", "-D", "-L", f"{channel},6D0:7FC"], stdout=subprocess.PIPE, text=True, bufsize=1
+        )
         threading.Thread(target=self._read, daemon=True).start()
 
     def _read(self) -> None:
@@ -71,7 +73,7 @@ class BusListener:
         """Frames of the next seconds."""
         t_s = time.time()
         time.sleep(seconds)
-        return self.since(t_s, can_id)
+        return [f for f in self.since(t_s, can_id) if f.t_s < t_s + seconds]
 
     def close(self) -> None:
         """Stops candump."""

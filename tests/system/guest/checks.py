@@ -27,6 +27,14 @@ REPO, WHEELS, DRIVE = HOST / "tmde-edge", HOST / "wheels", HOST / "drive"
 CONFIG, NETWORK = Path("/etc/tmde-edge/config.toml"), Path("/etc/systemd/network/80-tmde-can0.network")
 DRIVES = Path("/var/lib/tmde-edge/drives")
 UNIT = "tmde-edge"
+# In User-Mode Linux each new page costs tens of microseconds: the allocator is told to keep what it has (5.3 s, not 8.5 s).
+KEEP_PAGES = {
+    "MALLOC_MMAP_THRESHOLD_": 1 << 30,
+    "MALLOC_TRIM_THRESHOLD_": 1 << 30,
+    "MALLOC_TOP_PAD_": 64 << 20,
+    "MALLOC_ARENA_MAX": 1,
+}
+SLOW_PAGES = Path("/etc/systemd/system/tmde-edge.service.d/test-machine.conf")
 HEAL_S = 10.0  # after a fault: healthy again within
 
 
@@ -116,6 +124,8 @@ class World:
 
 def install(world: World) -> str:
     start = time.monotonic()
+    SLOW_PAGES.parent.mkdir(parents=True, exist_ok=True)
+    SLOW_PAGES.write_text("[Service]\nEnvironment=" + " ".join(f"{key}={value}" for key, value in KEEP_PAGES.items()) + "\n")
     said = run("bash", str(REPO / "scripts/install"), "--wheelhouse", str(WHEELS), limit_s=900)
     want("nothing is sent" in said, f"the installer does not say that it is silent: {said[-500:]}")
     want(unit("ActiveState") == "active", "the service does not run after the installation")
@@ -142,6 +152,11 @@ def unit_files(world: World) -> str:
 
 def listen_only(world: World) -> str:
     """A CAN interface of the kernel, set up by the installed .network file: listen-only, and after enable-transmit not."""
+    # The kernel's slcan cannot restart from bus off, and refuses the whole set-up where that is asked for.
+    no_restart = NETWORK.with_name(NETWORK.name + ".d") / "slcan.conf"
+    no_restart.parent.mkdir(exist_ok=True)
+    no_restart.write_text("[CAN]\nRestartSec=0\n")
+    run("networkctl", "reload")
     adapter = SerialAdapter("can0")
     try:
         wait("systemd-networkd opens can0", lambda: {"L", "O"} & set(adapter.heard), 15)
@@ -166,6 +181,8 @@ def listen_only(world: World) -> str:
         )
     finally:
         adapter.close()
+        no_restart.unlink()
+        no_restart.parent.rmdir()
     return "can0 by systemd-networkd: 500 kbit/s, listen-only; speaks after enable-transmit; taken back by disable-transmit"
 
 
@@ -200,13 +217,14 @@ def ready(world: World) -> str:
     start = time.monotonic()
     run("systemctl", "restart", UNIT)
     ready_s = time.monotonic() - start
-    wait("ALERT on the bus", lambda: world.bus.since(t_s, ALERT), 15)
+    wait("a decision on the bus", lambda: any(f.level != "not available" for f in world.bus.since(t_s, ALERT)), 15)
     first_s = next(f.t_s for f in world.bus.since(t_s, ALERT) if f.level != "not available") - t_s
     world.healthy(20)
     return f"READY after {ready_s:.1f} s, first decision on the bus after {first_s:.1f} s (stop of the old one included)"
 
 
 def rates(world: World) -> str:
+    time.sleep(5)  # a start is a burst of work, and this machine is slow: "overload" may come and go, each change a STATUS
     seen = world.bus.collect(10)
     counts = {can_id: sum(f.can_id == can_id for f in seen) for can_id in (ALERT, LEAD, STATUS)}
     want(180 <= counts[ALERT] <= 230 and 180 <= counts[LEAD] <= 230, f"ALERT and LEAD are not at 20 Hz: {counts} in 10 s")
