@@ -6,7 +6,7 @@ Nothing here reads a clock to decide: `clock_ns` only fills `timing_ms`. Times a
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -30,6 +30,7 @@ REAR_LOST_NS = 250_000_000  # a vehicle whose rear flow has not followed for thi
 SETTLED_NS = 250_000_000  # the finder itself looks at a settled track again after this long
 SETTLED_SIGMA = 0.15  # of a plate's height: a prediction this good needs no search, the reader's crop holds the plate
 BETWEEN = 3.0  # work that can wait one frame is not done beside a full search where frames come this much quicker
+REREAD_PLATEHOOD = 0.1  # below this a reader's corners say nothing
 SAME_STILL_IOU = 0.3  # finer looks at a still: overlap with a plate already read
 SAME_PLATE_IOU = 0.15  # overlap with the predicted box that makes a candidate the same plate
 
@@ -117,10 +118,11 @@ class Perception:
         found: list[tuple[PlateCandidate, PlateReading]] = []
         for candidates in self._search.still(image, mode):
             timing.done("detect")
-            known = [c for c, _ in found]
+            # a place read badly at a small scale may be read well at a larger one
+            known = [c for c, r in found if self._credible(r, self._segmenter.still_platehood_min)]
             fresh = [c for c in candidates if all(box_iou(c.corners_px, k.corners_px) <= SAME_STILL_IOU for k in known)]
             best = sorted(fresh, key=lambda c: -c.score)[: self._detector.max_plates]
-            found += zip(best, self._reader.read(image, best), strict=True)
+            found += self._read_twice(image, best)
             timing.done("read")
             if any(self._sure(c, r) for c, r in found):
                 break
@@ -138,6 +140,23 @@ class Perception:
                     )
                 )
         return self._sighting(frame, "ok" if plates else "no_plate", tuple(plates), (), True, mode, timing)
+
+    def _read_twice(self, image: Image, candidates: list[PlateCandidate]) -> list[tuple[PlateCandidate, PlateReading]]:
+        """Reads candidates; what is doubtful is read again where the reader itself puts the corners.
+
+        A plate that the finder saw at a small scale is cut badly at first.
+        """
+        pairs = list(zip(candidates, self._reader.read(image, candidates), strict=True))
+        least = self._segmenter.still_platehood_min
+        again = [
+            i for i, (_, r) in enumerate(pairs)
+            if r.platehood is not None and REREAD_PLATEHOOD <= r.platehood < least and is_convex(r.corners_px)
+        ]  # fmt: skip
+        better = self._reader.read(image, [replace(pairs[i][0], corners_px=pairs[i][1].corners_px) for i in again])
+        for i, reading in zip(again, better, strict=True):
+            if (reading.platehood or 0.0) >= self._segmenter.reread_platehood_min:
+                pairs[i] = (pairs[i][0], reading)
+        return pairs
 
     def _sure(self, candidate: PlateCandidate, reading: PlateReading) -> bool:
         """Whether this is surely a plate, so that nothing finer needs to be looked at."""

@@ -67,6 +67,7 @@ class SegmenterSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields
     min_characters: Annotated[int, Meta(ge=0)] = 3  # fewer than this give no character height
     platehood_min: Fraction = 0.6  # a reader that is less sure than this that it reads a plate rejects the candidate
     still_platehood_min: Fraction = 0.9  # the same for stills, which no second frame confirms
+    reread_platehood_min: Fraction = 0.98  # the same where a still is read again at the corners of a doubtful first reading
     refine: bool = True  # sub-pixel plate outline in the source image
 
 
