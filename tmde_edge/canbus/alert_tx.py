@@ -17,6 +17,7 @@ from tmde_edge.canbus.settings import CanSettings
 from tmde_edge.messages import CanFrame, FrameResult
 
 INTERFACE_VERSION = 1  # of the layout in tmde_edge.dbc
+LATE_NS = 2_000_000_000  # a picture's decision comes at most this long after its time
 ALERT_DATA_IDS = bytes(range(0xA0, 0xB0))
 LEAD_DATA_IDS = bytes(range(0xB0, 0xC0))
 
@@ -84,12 +85,17 @@ class AlertTransmitter:
     def __init__(self, settings: CanSettings) -> None:
         self._s = settings
         self._due_ns: dict[str, int] = {}
+        self._latest_ns = 0
         self._counter = {"alert": 0, "lead": 0, "status": 0}
         self._sent_level: int | None = None
         self._j1939 = J1939Transmitter(settings.j1939_source_address) if settings.j1939 else None
 
     def frames(self, result: FrameResult | None, status: StatusInfo, t_ns: int) -> tuple[CanFrame, ...]:
         """Frames due at t_ns. A change of level is sent at once, the rest at its rate. Raises ValueError on NaN."""
+        # A picture is decided on after its time, when later ticks have been heard: that is no step back of the clock.
+        if 0 < self._latest_ns - t_ns <= LATE_NS:
+            t_ns = self._latest_ns
+        self._latest_ns = t_ns
         stale = result is None or abs(t_ns - result.t_ns) > self._s.hold_s * 1e9
         current = None if stale else result
         alert = pack_alert(current, status)
@@ -126,7 +132,7 @@ class AlertTransmitter:
 def due_after(due_ns: int | None, rate_hz: float, t_ns: int, *, at_once: bool = False) -> int | None:
     """The next due time where a frame is due at t_ns, else None. Keeps the mean rate; a jump in time makes no burst."""
     period_ns = round(1e9 / rate_hz)
-    if at_once or due_ns is None or not -period_ns < t_ns - due_ns < 2 * period_ns:
+    if at_once or due_ns is None or not -period_ns <= t_ns - due_ns < 2 * period_ns:
         return t_ns + period_ns
     return due_ns + period_ns if t_ns >= due_ns else None
 

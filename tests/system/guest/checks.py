@@ -36,6 +36,7 @@ KEEP_PAGES = {
 }
 SLOW_PAGES = Path("/etc/systemd/system/tmde-edge.service.d/test-machine.conf")
 HEAL_S = 10.0  # after a fault: healthy again within
+START_S = 20.0  # a new process, on this slow machine
 
 
 class Failed(Exception):  # noqa: N818 (it is no fault of the test)
@@ -219,7 +220,7 @@ def ready(world: World) -> str:
     ready_s = time.monotonic() - start
     wait("a decision on the bus", lambda: any(f.level != "not available" for f in world.bus.since(t_s, ALERT)), 15)
     first_s = next(f.t_s for f in world.bus.since(t_s, ALERT) if f.level != "not available") - t_s
-    world.healthy(20)
+    world.healthy(START_S)
     return f"READY after {ready_s:.1f} s, first decision on the bus after {first_s:.1f} s (stop of the old one included)"
 
 
@@ -283,7 +284,7 @@ def hang(world: World) -> str:
     os.kill(old, 19)  # SIGSTOP
     took_s = wait("the restart", lambda: int(unit("NRestarts")) > restarts and pid() not in (0, old), 40)
     want("watchdog" in run("journalctl", "-u", UNIT, "--no-pager", "--since", f"@{int(t_s)}").lower(), "not by the watchdog")
-    world.healthy(HEAL_S)
+    world.healthy(START_S)
     return f"another process after {took_s:.1f} s (WatchdogSec 10, RestartSec 2)"
 
 
@@ -337,7 +338,7 @@ def kill(world: World) -> str:
     wait("another process", lambda: pid() not in (0, old), 15)
     wait("ALERT on the bus", lambda: any(f.level != "not available" for f in world.bus.since(t_s + 1, ALERT)), HEAL_S)
     back_s = next(f.t_s for f in world.bus.since(t_s + 1, ALERT) if f.level != "not available") - t_s
-    world.healthy(HEAL_S)
+    world.healthy(START_S)
     world.restarts = int(unit("NRestarts"))
     return f"decides again {back_s:.1f} s after kill -9"
 
@@ -350,7 +351,7 @@ def terminate(world: World) -> str:
     last = sorted(DRIVES.glob("*.mcap"))[-1]
     said = run("tmde-edge", "replay", str(last), limit_s=300)
     run("systemctl", "start", UNIT)
-    world.healthy(20)
+    world.healthy(START_S)
     world.restarts = int(unit("NRestarts"))
     return f"{took_s:.1f} s; the drive log replays: {said.splitlines()[-1]}"
 
@@ -367,7 +368,7 @@ def wrong_configuration(world: World) -> str:
     want("camera.fx_px" in line, f"the journal does not name the key: {line}")
     CONFIG.write_text(good)
     run("systemctl", "restart", UNIT)
-    world.healthy(20)
+    world.healthy(START_S)
     world.restarts = 0
     return next(text for text in line.splitlines() if "camera.fx_px" in text)
 
@@ -377,10 +378,11 @@ def install_again(world: World) -> str:
     start = time.monotonic()
     said = run("bash", str(REPO / "scripts/install"), "--wheelhouse", str(WHEELS), limit_s=300)
     want("program up to date" in said, said[-500:])
-    after = CONFIG.read_text(), NETWORK.read_text(), sorted(p.name for p in DRIVES.iterdir())[: len(before[2])]
-    want(before == after, "configuration or recordings changed")
+    want(before[:2] == (CONFIG.read_text(), NETWORK.read_text()), "the configuration changed")
+    lost = set(before[2]) - {p.name for p in DRIVES.iterdir()}
+    want(not lost, f"recordings are gone: {lost}")
     took_s = time.monotonic() - start
-    world.healthy(20)
+    world.healthy(START_S)
     return f"{took_s:.0f} s, nothing is changed, healthy"
 
 
@@ -394,9 +396,8 @@ def read_only_root(world: World) -> str:
         t_s = time.time()
         run("systemctl", "start", UNIT)
         wait("ALERT on the bus", lambda: any(f.level == "none" for f in world.bus.since(t_s, ALERT)), 20)
-        time.sleep(3)
+        wait("frames", lambda: (world.bus.since(t_s, STATUS)[-1].rate_hz or 0) >= 0.8 * world.fps, START_S)
         status = world.bus.since(t_s, STATUS)[-1]
-        want((status.rate_hz or 0) >= 0.8 * world.fps, f"{status.rate_hz} frames/s")
         want(status.faults, "recording is asked for and impossible, and no fault tells it")
         want(unit("NRestarts") == "0", "it restarts")
         # As docs/install.md advises: a file system of its own for the state.
@@ -404,14 +405,14 @@ def read_only_root(world: World) -> str:
         run("mount", "-t", "tmpfs", "-o", "mode=0750", "tmpfs", "/var/lib/tmde-edge")
         run("chown", "tmde-edge:tmde-edge", "/var/lib/tmde-edge")
         run("systemctl", "start", UNIT)
-        world.healthy(20)
+        world.healthy(START_S)
         want(list(DRIVES.glob("*.mcap")), "no drive log on the file system of its own")
         run("systemctl", "stop", UNIT)
         run("umount", "/var/lib/tmde-edge")
     finally:
         run("mount", "-o", "remount,rw", "/")
     run("systemctl", "start", UNIT)
-    world.healthy(20)
+    world.healthy(START_S)
     return f"decides, says {status.faults}; with a state file system of its own: healthy, recording"
 
 
@@ -450,7 +451,8 @@ def log_after_power_cut(world: World) -> str:
     boots = {p.name.split("-")[0]: p for p in sorted(DRIVES.glob("*.mcap")) if p.stat().st_mtime <= cut_wall_s + 1}
     want(boots, f"no drive log from before the cut in {sorted(DRIVES.iterdir())}")
     last = sorted(boots.values())[-1]
-    count, last_ns, torn = run("/opt/tmde-edge/bin/python", "-c", script, str(last)).split(maxsplit=2)
+    python = str(Path("/opt/tmde-edge/bin").resolve() / "python")  # by the link it does not find its environment
+    count, last_ns, torn = run(python, "-c", script, str(last)).split(maxsplit=2)
     lost_s = cut_s - int(last_ns) * 1e-9
     want(lost_s <= 1.0, f"{lost_s:.2f} s are lost")
     said = run("tmde-edge", "replay", str(last), limit_s=300)

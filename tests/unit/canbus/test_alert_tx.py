@@ -217,6 +217,20 @@ def test_a_jump_in_time_makes_no_burst() -> None:
         assert len(out) == (0 if t_ms in (3_600_010, 15) else 3)
 
 
+def test_pictures_decided_on_late_do_not_raise_the_rate() -> None:
+    sender = AlertTransmitter(CanSettings())
+    sent: list[int] = []
+    last = result(0)
+    for t_ms in range(0, 10_000, 20):
+        sent += [f.can_id for f in sender.frames(last, StatusInfo(), t_ms * MS)]  # a tick
+        if t_ms % 100 == 0:  # a picture taken 0.15 s before
+            last = result((t_ms - 150) * MS)
+            sent += [f.can_id for f in sender.frames(last, StatusInfo(), (t_ms - 150) * MS)]
+    assert 195 <= sent.count(0x6D0) <= 201
+    assert 195 <= sent.count(0x6D1) <= 201
+    assert sent.count(0x6D2) == 10
+
+
 def test_configured_ids_are_used() -> None:
     out = AlertTransmitter(CanSettings(alert_id=0x100, lead_id=0x101, status_id=0x102)).frames(None, StatusInfo(), 0)
     assert [f.can_id for f in out] == [0x100, 0x101, 0x102]
