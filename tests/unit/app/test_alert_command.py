@@ -27,7 +27,7 @@ def alert(level: AlertLevel) -> Alert:
     return Alert(level=level, reason="" if level == "none" else "ttc", ttc_s=None if level == "none" else 2.25)
 
 
-def wait_for(condition: Callable[[], bool], seconds: float = 5.0) -> None:
+def wait_for(condition: Callable[[], bool], seconds: float = 20.0) -> None:
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end, "nothing happened"
