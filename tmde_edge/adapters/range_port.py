@@ -5,18 +5,13 @@ from __future__ import annotations
 import logging
 import math
 import re
-import threading
-import time
 from collections.abc import Callable
 
-from tmde_edge.adapters.can_ports.retry import BackOff, LastingFault
+from tmde_edge.adapters.serial_lines import SerialLines
 from tmde_edge.config import RecordConfig
 from tmde_edge.messages import RangeReference
 
 _log = logging.getLogger(__name__)
-_LINE_S = 0.5
-_LONGEST_LINE = 200  # bytes
-_GIVE_UP_S = 10.0  # no line for this long: open the port again
 _METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001, "ft": 0.3048}
 _NUMBER = re.compile(r"(?<![\w.])([-+]?\d+(?:\.\d+)?)\s*(mm|cm|m|ft)?(?![\w.])", re.IGNORECASE)
 _LABELLED = re.compile(r"(?:^|[^A-Za-z])[A-Za-z]{1,8}\s*[:=]\s*([-+]?\d+(?:\.\d+)?)\s*(mm|cm|m|ft)?", re.IGNORECASE)
@@ -64,52 +59,24 @@ class RangePort:
 
     def __init__(self, settings: RecordConfig, on_range: Callable[[RangeReference], None]) -> None:
         self._s, self._on_range = settings, on_range
-        self._fault = LastingFault(_log, f"rangefinder {settings.range_device}")
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._guard, name="rangefinder", daemon=True)
+        # its end leaves the truth missing, nothing else: the service goes on
+        self._lines = SerialLines(
+            settings.range_device, settings.range_baud, self._take, is_line=lambda line: line.endswith(b"\n"), name="rangefinder",
+            silent=("line", "record.range_baud"), log=_log,
+        )  # fmt: skip
         self.lines = self.ranges = 0
 
     def start(self) -> None:
         """Opens in the background."""
-        self._thread.start()
+        self._lines.start()
 
     def close(self) -> None:
         """Stops the thread and closes the port."""
-        self._stop.set()
-        self._thread.join(timeout=3.0)
+        self._lines.close()
 
-    def _guard(self) -> None:
-        try:
-            self._run()
-        except Exception:  # a thread's top: truth is missing then, nothing else
-            _log.exception("the rangefinder's thread stopped")
-
-    def _run(self) -> None:
-        import serial  # only where one is configured
-
-        back_off = BackOff()
-        while not self._stop.is_set():
-            try:
-                with serial.Serial(self._s.range_device, self._s.range_baud, timeout=_LINE_S) as port:
-                    self._read(port, back_off)
-            except (serial.SerialException, OSError) as e:
-                self._fault.set(f"{e}; trying again")
-                self._stop.wait(back_off.pause_s())
-
-    def _read(self, port: object, back_off: BackOff) -> None:
-        heard_s = time.monotonic()
-        while not self._stop.is_set():
-            line: bytes = port.readline(_LONGEST_LINE)  # type: ignore[attr-defined]
-            t_ns = time.monotonic_ns()
-            if not line.endswith(b"\n"):
-                if time.monotonic() - heard_s > _GIVE_UP_S:
-                    raise OSError(f"no line for {_GIVE_UP_S:.0f} s; check record.range_baud")
-                continue
-            heard_s = time.monotonic()
-            self._fault.clear()
-            back_off.reset()
-            self.lines += 1
-            text = line.decode("ascii", errors="replace").strip()
-            distance_m = parse_line(text, self._s.range_unit, self._s.range_field)
-            self.ranges += distance_m is not None
-            self._on_range(RangeReference(t_ns=t_ns, distance_m=distance_m, text=text))
+    def _take(self, line: bytes, t_ns: int) -> None:
+        self.lines += 1
+        text = line.decode("ascii", errors="replace").strip()
+        distance_m = parse_line(text, self._s.range_unit, self._s.range_field)
+        self.ranges += distance_m is not None
+        self._on_range(RangeReference(t_ns=t_ns, distance_m=distance_m, text=text))
