@@ -6,6 +6,8 @@ Everything happens in a small window round the plate; large plates are tracked a
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
+from math import hypot, sqrt
 
 import cv2
 import numpy as np
@@ -23,7 +25,8 @@ GROWTH_FLOOR = 2e-4  # of a ratio's sigma: lens, rolling shutter, a rear that is
 PARTED_PX, PARTED = 1.0, 0.02  # plate and rear move apart by more than this, in pixels and plate widths: not one body
 # What compression and sampling do to a whole patch: tracking pixels at its rms radius; larger ones hold more blocks to average.
 DENSE_FLOOR_PX, DENSE_FLOOR_RADIUS_PX = 0.05, 20.0
-SETTLED = 1e-7  # change of the similarity from which a fit is the same: a millionth of a pixel over a plate
+SETTLED = 1e-5  # change of the similarity from which a fit is the same: a thousandth of a pixel over a plate
+LK_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.01)
 POINT_FLOOR_PX = 0.03  # error of one feature that residuals do not show, tracking pixels
 
 
@@ -101,10 +104,7 @@ def follow(template: Template, image: Image, guess_px: Array, settings: FlowSett
     rows, cols = template.grey.shape
     at = np.rint(template.origin_px + start)
     grey, origin = _window(image, int(at[0]), int(at[1]), cols, rows, template.reduce)
-    results = []
-    for points in (template.plate_points_px, template.ring_points_px):
-        results.append(_track(template, grey, origin, points, move, settings))
-    plate, rear = results
+    plate, rear = _track(template, grey, origin, move, settings)
     best = plate or rear
     if best is None:
         return None
@@ -115,11 +115,11 @@ def follow(template: Template, image: Image, guess_px: Array, settings: FlowSett
         if apart > PARTED_PX + PARTED * size_px(template.corners_px)[0]:
             best, plate = rear, None
     corners = template.corners_px @ best.matrix[:, :2].T + best.matrix[:, 2]
-    half = float(np.hypot(*size_px(template.corners_px))) / 2
-    shift_sigma = best.residual_px / np.sqrt(best.inliers)
+    half = hypot(*size_px(template.corners_px)) / 2
+    shift_sigma = best.residual_px / sqrt(best.inliers)
     return FlowStep(
         corners_px=corners,
-        sigma_px=float(np.hypot(shift_sigma, best.ratio_sigma * half)),
+        sigma_px=hypot(shift_sigma, best.ratio_sigma * half),
         plate=None if plate is None else Growth(ratio=plate.ratio, sigma=plate.ratio_sigma, points=plate.inliers),
         rear=None if rear is None else Growth(ratio=rear.ratio, sigma=rear.ratio_sigma, points=rear.inliers),
     )
@@ -151,8 +151,8 @@ def follow_rear(template: Template, image: Image, guess_px: Array, settings: Flo
     flat = (template.corners_px - template.origin_px) / template.reduce
     corners = origin + template.reduce * (flat @ fit.matrix[:, :2].T + fit.matrix[:, 2])
     rear = _dense_growth(fit, ring)
-    half = float(np.hypot(*size_px(template.corners_px))) / 2
-    return FlowStep(corners_px=corners, sigma_px=float(np.hypot(POINT_FLOOR_PX * template.reduce, rear.sigma * half)), plate=None,
+    half = hypot(*size_px(template.corners_px)) / 2
+    return FlowStep(corners_px=corners, sigma_px=hypot(POINT_FLOOR_PX * template.reduce, rear.sigma * half), plate=None,
                     rear=rear)  # fmt: skip
 
 
@@ -200,43 +200,64 @@ def fit_similarity(p: Array, q: Array, floor_px: float) -> Similarity | None:
     n = len(p)
     if n < 3:
         return None
-    zp, zq = p[:, 0] + 1j * p[:, 1], q[:, 0] + 1j * q[:, 1]
-    i, j = np.triu_indices(n, 1)
-    apart = np.abs(zp[i] - zp[j])
-    wide = apart >= max(float(np.median(apart)), 1e-6)
+    middle_p, middle_q = p.mean(axis=0), q.mean(axis=0)
+    zp, zq = _complex(p - middle_p), _complex(q - middle_q)
+    i, j = _pairs(n)
+    step = zp[i] - zp[j]
+    apart = np.abs(step)
+    wide = apart >= max(_median(apart), 1e-6)
     if not wide.any():
         return None
-    ratios = (zq[i] - zq[j])[wide] / (zp[i] - zp[j])[wide]
-    m = complex(np.median(ratios.real), np.median(ratios.imag))
+    ratios = (zq[i] - zq[j])[wide] / step[wide]
+    m = complex(_median(ratios.real), _median(ratios.imag))
     moved = zq - m * zp
-    t = complex(np.median(moved.real), np.median(moved.imag))
+    t = complex(_median(moved.real), _median(moved.imag))
     weights = np.ones(n)
+    terms = np.stack([np.ones(n), zp, zq, zq * zp.conj(), np.abs(zp) ** 2])  # their weighted sums hold all that a fit needs
     for _ in range(10):
         distance = np.abs(zq - m * zp - t)
-        scale = max(1.4826 * float(np.median(distance)) / 1.177, floor_px)  # median of a Rayleigh distance is 1.177 sigma
-        weights = np.clip(1 - (distance / (4.685 * scale)) ** 2, 0, None) ** 2
-        total = weights.sum()
-        if total < 2:
+        scale = max(1.4826 * _median(distance) / 1.177, floor_px)  # median of a Rayleigh distance is 1.177 sigma
+        weights = np.maximum(1 - (distance / (4.685 * scale)) ** 2, 0) ** 2
+        total, sum_p, sum_q, sum_qp, sum_pp = (terms @ weights).tolist()
+        if total.real < 2:
             return None
-        cp, cq = (weights * zp).sum() / total, (weights * zq).sum() / total
-        spread = (weights * np.abs(zp - cp) ** 2).sum()
+        cp, cq = sum_p / total, sum_q / total
+        spread = (sum_pp - cp.conjugate() * sum_p).real
         if spread < 1e-9:
             return None
-        before, m = m, complex((weights * (zq - cq) * (zp - cp).conj()).sum() / spread)
-        t = complex(cq - m * cp)
+        before, m = m, (sum_qp - cq * sum_p.conjugate()) / spread
+        t = cq - m * cp
         if abs(m - before) < SETTLED:
             break
     used = weights > 0.1
-    count = int(used.sum())
+    count = int(np.count_nonzero(used))
     if count < 3 or count < 0.5 * n:
         return None
     rms = float(np.sqrt((np.abs(zq - m * zp - t)[used] ** 2).sum() / max(2 * count - 4, 1)))
-    rms = float(np.hypot(rms, floor_px))
+    rms = hypot(rms, floor_px)
     centred = float((np.abs(zp[used] - zp[used].mean()) ** 2).sum())
+    linear = np.array([[m.real, -m.imag], [m.imag, m.real]])
+    shift = middle_q + np.array([t.real, t.imag]) - linear @ middle_p
     return Similarity(
-        matrix=np.array([[m.real, -m.imag, t.real], [m.imag, m.real, t.imag]]),
-        ratio=abs(m), ratio_sigma=rms / float(np.sqrt(centred)), residual_px=rms, inliers=count,
-    )  # fmt: skip
+        matrix=np.column_stack([linear, shift]), ratio=abs(m), ratio_sigma=rms / sqrt(centred), residual_px=rms,
+        inliers=count,
+    )
+
+
+def _complex(points: Array) -> NDArray[np.complex128]:
+    return np.ascontiguousarray(points).view(np.complex128)[:, 0]
+
+
+@lru_cache(maxsize=128)
+def _pairs(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    i, j = np.triu_indices(n, 1)
+    return i, j
+
+
+def _median(values: Array) -> float:
+    """The upper median; numpy's own spends longer on checks than on sorting."""
+    k = len(values) // 2
+    return float(np.partition(values, k)[k])
 
 
 def _window(image: Image, left: int, top: int, cols: int, rows: int, reduce: int) -> tuple[Image, Array]:
@@ -271,32 +292,50 @@ def _between(a_px: Array, b_px: Array) -> Array:
 
 
 def _track(
-    template: Template, grey: Image, origin: Array, points_px: Array, move: Array, settings: FlowSettings
-) -> Similarity | None:
-    """Forward and back, then the fit, in source pixels."""
-    if len(points_px) < settings.min_points:
-        return None
+    template: Template, grey: Image, origin: Array, move: Array, settings: FlowSettings
+) -> tuple[Similarity | None, Similarity | None]:
+    """Features of plate and ring forward and back, all at once, then a fit of each, in source pixels."""
+    parts = [p if len(p) >= settings.min_points else p[:0] for p in (template.plate_points_px, template.ring_points_px)]
+    points_px = np.concatenate(parts)
+    if not len(points_px):
+        return None, None
     scale = 1.0 / template.reduce
     start = ((points_px - template.origin_px) * scale).astype(np.float32)
     expected = points_px @ move[:, :2].T + move[:, 2]
     guess = ((expected - origin) * scale).astype(np.float32)
-    window = (settings.window_px, settings.window_px)
-    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.01)
-    flags = cv2.OPTFLOW_USE_INITIAL_FLOW
-    there, ok, _ = cv2.calcOpticalFlowPyrLK(
-        template.grey, grey, start, guess.copy(), winSize=window, maxLevel=settings.levels, criteria=criteria, flags=flags
-    )
-    back, ok_back, _ = cv2.calcOpticalFlowPyrLK(
-        grey, template.grey, there, start.copy(), winSize=window, maxLevel=settings.levels, criteria=criteria, flags=flags
-    )
-    there, back = np.asarray(there, dtype=np.float64), np.asarray(back, dtype=np.float64)
-    good = (ok.ravel() == 1) & (ok_back.ravel() == 1)
-    good &= np.hypot(*(back - start).T) < settings.forward_backward_px
+    there, ok = _lucas_kanade(template.grey, grey, start, guess, settings)
+    back, ok_back = _lucas_kanade(grey, template.grey, there, start, settings)
+    off = back.astype(np.float64) - start
+    good = ok & ok_back
+    good &= np.hypot(off[:, 0], off[:, 1]) < settings.forward_backward_px
     good &= np.isfinite(there).all(axis=1)
-    if good.sum() < settings.min_points:
+    now_px = there.astype(np.float64) / scale + origin
+    n = len(parts[0])
+    return (
+        _moved_part(points_px[:n], now_px[:n], good[:n], scale, settings),
+        _moved_part(points_px[n:], now_px[n:], good[n:], scale, settings),
+    )
+
+
+def _lucas_kanade(
+    then: Image, now: Image, start: NDArray[np.float32], guess: NDArray[np.float32], settings: FlowSettings
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Places (n, 2), and whether each was found."""
+    window = (settings.window_px, settings.window_px)
+    there, ok, _ = cv2.calcOpticalFlowPyrLK(
+        then, now, start, guess.copy(), winSize=window, maxLevel=settings.levels, criteria=LK_CRITERIA,
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+    )  # fmt: skip
+    return np.asarray(there, dtype=np.float32), np.asarray(ok).ravel() == 1
+
+
+def _moved_part(
+    then_px: Array, now_px: Array, good: NDArray[np.bool_], scale: float, settings: FlowSettings
+) -> Similarity | None:
+    """The fit of one part's features that came back; None where too few agree."""
+    if np.count_nonzero(good) < settings.min_points:
         return None
-    now_px = there[good] / scale + origin
-    fit = fit_similarity(points_px[good], now_px, POINT_FLOOR_PX / scale)
+    fit = fit_similarity(then_px[good], now_px[good], POINT_FLOOR_PX / scale)
     if fit is None or fit.inliers < settings.min_points or fit.residual_px > settings.residual_max_px / scale:
         return None
     return fit

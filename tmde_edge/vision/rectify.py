@@ -6,6 +6,8 @@ Pixel (0, 0) of a rectified picture of w x h pixels is centred at (0, 0); the pl
 
 from __future__ import annotations
 
+from math import hypot
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -47,17 +49,16 @@ def order_corners(points_px: Array) -> Array:
 
 def is_convex(corners_px: Array) -> bool:
     """Whether four corners in order make a convex quadrilateral of some area, turning clockwise on the screen."""
-    edges = np.roll(corners_px, -1, axis=0) - corners_px
-    following = np.roll(edges, -1, axis=0)
-    return bool(np.all(edges[:, 0] * following[:, 1] - edges[:, 1] * following[:, 0] > 1e-9))
+    (ax, ay), (bx, by), (cx, cy), (dx, dy) = corners_px.tolist()  # scalars of lists are quicker than those of arrays
+    px, py, qx, qy, rx, ry, sx, sy = bx - ax, by - ay, cx - bx, cy - by, dx - cx, dy - cy, ax - dx, ay - dy
+    turns = px * qy - py * qx, qx * ry - qy * rx, rx * sy - ry * sx, sx * py - sy * px
+    return all(turn > 1e-9 for turn in turns)
 
 
 def size_px(corners_px: Array) -> tuple[float, float]:
     """Mean width and height of a quadrilateral, pixels."""
-    tl, tr, br, bl = corners_px
-    width = (np.hypot(*(tr - tl)) + np.hypot(*(br - bl))) / 2
-    height = (np.hypot(*(bl - tl)) + np.hypot(*(br - tr))) / 2
-    return float(width), float(height)
+    (ax, ay), (bx, by), (cx, cy), (dx, dy) = corners_px.tolist()
+    return (hypot(bx - ax, by - ay) + hypot(cx - dx, cy - dy)) / 2, (hypot(dx - ax, dy - ay) + hypot(cx - bx, cy - by)) / 2
 
 
 def steadied(corners_px: Array, sigma_px: float) -> Array:
@@ -68,7 +69,7 @@ def steadied(corners_px: Array, sigma_px: float) -> Array:
     """
     tl, tr, br, bl = corners_px
     centre, u, v, d = corners_px.mean(axis=0), (tr + br - tl - bl) / 4, (bl + br - tl - tr) / 4, (tl - tr + br - bl) / 4
-    width, height = float(np.hypot(*u)), float(np.hypot(*v))
+    width, height = hypot(*u.tolist()), hypot(*v.tolist())
     if width < 1e-6 or height < 1e-6:
         return corners_px
     noise = (sigma_px / 2) ** 2  # of each component of u, v, d: a mean of four corners
@@ -82,8 +83,8 @@ def steadied(corners_px: Array, sigma_px: float) -> Array:
 
 def bounds(corners_px: Array) -> tuple[float, float, float, float]:
     """x0, y0, x1, y1 of the upright box round a quadrilateral."""
-    low, high = corners_px.min(axis=0), corners_px.max(axis=0)
-    return float(low[0]), float(low[1]), float(high[0]), float(high[1])
+    xs, ys = corners_px.T.tolist()
+    return min(xs), min(ys), max(xs), max(ys)
 
 
 def homography_source_from_rectified(corners_px: Array, width_px: int, height_px: int) -> Array:
@@ -114,8 +115,8 @@ def rectify_grey(image: Image, corners_px: Array, width_px: int, height_px: int)
     """`rectify` of a grey, BGR or BGRA image to grey; only the part round the plate is converted and read."""
     h, w = image.shape[:2]
     x0, y0, x1, y1 = bounds(corners_px)
-    left, top = int(np.clip(x0 - 4, 0, w - 1)), int(np.clip(y0 - 4, 0, h - 1))
-    right, bottom = int(np.clip(x1 + 5, left + 1, w)), int(np.clip(y1 + 5, top + 1, h))
+    left, top = int(min(max(x0 - 4, 0), w - 1)), int(min(max(y0 - 4, 0), h - 1))
+    right, bottom = int(min(max(x1 + 5, left + 1), w)), int(min(max(y1 + 5, top + 1), h))
     flat, crop_from_flat = rectify(to_grey(image[top:bottom, left:right]), corners_px - (left, top), width_px, height_px)
     source_from_crop = np.array([[1.0, 0.0, left], [0.0, 1.0, top], [0.0, 0.0, 1.0]])
     return flat, np.asarray(source_from_crop @ crop_from_flat)
@@ -123,5 +124,5 @@ def rectify_grey(image: Image, corners_px: Array, width_px: int, height_px: int)
 
 def apply_homography(homography: Array, points: Array) -> Array:
     """(n, 2) points through a (3, 3) homography."""
-    mapped = np.column_stack([points, np.ones(len(points))]) @ homography.T
+    mapped = points @ homography[:, :2].T + homography[:, 2]
     return np.asarray(mapped[:, :2] / mapped[:, 2:])
