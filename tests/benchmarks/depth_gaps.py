@@ -41,7 +41,8 @@ def recorded(folder: Path, name: str, seed: int) -> tuple[Path, list[Event]]:
     home = folder / f"{name}-{seed}"
     log = home / "drive.mcap"
     if not log.is_file():
-        simulate(name, home, seed=seed)
+        if not (home / "config.toml").is_file():  # written last
+            simulate(name, home, seed=seed)
         config = load(home / "config.toml", ['depth.kind="recorded"', "runtime.threads=1"])
         part = home / "part.mcap"
         desk = Desk(config, home, DeskOptions(source=str(home / "video.mp4"), can_log=home / "can.log", record=part))

@@ -20,8 +20,17 @@ from tmde_edge.config import Config
 from tmde_edge.pose.resting import BLOCKS_KEPT, MAX_OFFSET_RAD, RestingPose
 
 VERSION = 1
+NAME = "pose.json"
 PERIOD_S = 30.0  # between two writes: a block takes 5 s at best
 _log = logging.getLogger(__name__)
+
+
+def state_path(configured: str, base_dir: Path) -> Path | None:
+    """The file of `[pose] state_file`: a path, "auto" for systemd's state folder where there is one, or "" for none."""
+    if configured != "auto":
+        return base_dir / configured if configured else None
+    state = os.environ.get("STATE_DIRECTORY", "").split(":")[0]
+    return Path(state) / NAME if state else None
 
 
 def mounting(config: Config) -> dict[str, float | int | None]:

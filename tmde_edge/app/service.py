@@ -23,7 +23,7 @@ from tmde_edge.app.background_log import BackgroundLog
 from tmde_edge.app.board import BoardWatch, limit_processor, raise_priority
 from tmde_edge.app.depth_keeper import DepthKeeper
 from tmde_edge.app.live import BusPort, LiveLoop
-from tmde_edge.app.pose_state import PoseKeeper, load_resting
+from tmde_edge.app.pose_state import PoseKeeper, load_resting, state_path
 from tmde_edge.app.publish import Publisher, socket_path
 from tmde_edge.app.recorder import make_recorder
 from tmde_edge.app.sdnotify import Notifier
@@ -89,7 +89,7 @@ def serve(
     if runtime.cpu_affinity and (failed := limit_processor(runtime.cpu_affinity)) is not None:
         _log.warning("%s", failed)
     eyes = build_eyes(config, time.perf_counter_ns)
-    pose_file = base_dir / config.pose.state_file if config.pose.state_file else None
+    pose_file = state_path(config.pose.state_file, base_dir)
     resting = load_resting(pose_file, config) if pose_file is not None else None
     estimation = build_estimation(config, base_dir, resting)
     with ExitStack() as stack:

@@ -12,7 +12,7 @@ import pytest
 
 from tmde_edge.app import pose_state
 from tmde_edge.app.drive_log import DriveLogWriter
-from tmde_edge.app.pose_state import PoseKeeper, from_tree, load_resting, save_resting, to_tree
+from tmde_edge.app.pose_state import PoseKeeper, from_tree, load_resting, save_resting, state_path, to_tree
 from tmde_edge.app.wiring import build_estimation, log_config, replay_log
 from tmde_edge.config import Config, load
 from tmde_edge.messages import FrameResult, LaneSighting, Sighting
@@ -89,6 +89,19 @@ def test_the_keeper_saves_blocks_at_the_end_and_tells_a_refusal_once(tmp_path: P
     for _ in range(3):
         refused._save()
     assert caplog.text.count("cannot be written") == 1
+
+
+def test_a_default_installation_keeps_it_in_the_service_s_state_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    root = Path(__file__).parents[3]
+    unit = (root / "systemd" / "tmde-edge.service").read_text()
+    folder = next(line.partition("=")[2] for line in unit.splitlines() if line.startswith("StateDirectory="))
+    monkeypatch.setenv("STATE_DIRECTORY", f"/var/lib/{folder}")
+    shipped = load(root / "config" / "tmde-edge.toml")
+    assert state_path(shipped.pose.state_file, Path("/etc/tmde-edge")) == Path("/var/lib/tmde-edge/pose.json")
+    assert state_path("", tmp_path) is None
+    assert state_path("own.json", tmp_path) == tmp_path / "own.json"
+    monkeypatch.delenv("STATE_DIRECTORY")
+    assert state_path("auto", tmp_path) is None
 
 
 def lanes(k: int, pitch_rad: float) -> Sighting:
