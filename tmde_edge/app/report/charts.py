@@ -107,42 +107,47 @@ def alerts(s: Series, width: int) -> str:
     return plot.text("Alerts over time")
 
 
+def _curve(
+    s: Series,
+    values: Array,
+    y: tuple[float, float],
+    label: str,
+    y_label: str,
+    title: str,
+    width: int,
+    *,
+    alerts: bool = False,
+    zero: bool = False,
+) -> str:
+    """One value over time; `alerts` shades what was said, `zero` draws the line at 0."""
+    plot = Plot(_times(s), y, width=width, height=180, x_label="time, s", y_label=y_label, kind="time")
+    if alerts:
+        _alerts(plot, s)
+    if zero:
+        plot.across(0.0, "zero")
+    plot.line(s["t"], values, "line main", label)
+    return plot.text(title)
+
+
 def own_motion(s: Series, width: int) -> str:
-    """Own speed and yaw rate from CAN."""
-    t, speed = s["t"], s["speed_mps"] * 3.6
-    plot = Plot(
-        _times(s),
-        padded([speed], least=10.0, zero=True),
-        width=width,
-        height=180,
-        x_label="time, s",
-        y_label="speed, km/h",
-        kind="time",
-    )
-    _alerts(plot, s)
-    plot.line(t, speed, "line main", "own speed")
-    return plot.text("Own speed over time")
+    """Own speed from CAN."""
+    speed = s["speed_mps"] * 3.6
+    y = padded([speed], least=10.0, zero=True)
+    return _curve(s, speed, y, "own speed", "speed, km/h", "Own speed over time", width, alerts=True)
 
 
 def yaw_rate(s: Series, width: int) -> str:
     """Yaw rate; left is positive."""
-    t, yaw = s["t"], np.degrees(s["yaw_rate_radps"])
-    plot = Plot(
-        _times(s), padded([yaw], least=4.0), width=width, height=180, x_label="time, s", y_label="yaw rate, deg/s", kind="time"
-    )
-    plot.across(0.0, "zero")
-    plot.line(t, yaw, "line main", "yaw rate (left positive)")
-    return plot.text("Yaw rate over time")
+    yaw = np.degrees(s["yaw_rate_radps"])
+    y = padded([yaw], least=4.0)
+    return _curve(s, yaw, y, "yaw rate (left positive)", "yaw rate, deg/s", "Yaw rate over time", width, zero=True)
 
 
 def pitch(s: Series, width: int) -> str:
     """Pitch of the camera against the road."""
-    t, value = s["t"], np.degrees(s["pitch_rad"])
-    plot = Plot(
-        _times(s), padded([value], least=1.0), width=width, height=180, x_label="time, s", y_label="pitch, deg", kind="time"
-    )
-    plot.line(t, value, "line main", "pitch (nose down positive)")
-    return plot.text("Pitch of the camera over time")
+    value = np.degrees(s["pitch_rad"])
+    y = padded([value], least=1.0)
+    return _curve(s, value, y, "pitch (nose down positive)", "pitch, deg", "Pitch of the camera over time", width)
 
 
 def characters(s: Series, truth: dict[int, TruthRow] | None, width: int) -> str:
@@ -164,18 +169,9 @@ def _count(truth: dict[int, TruthRow], frame: int) -> float:
 
 def char_height(s: Series, width: int) -> str:
     """Mean character height in source pixels: what every distance rests on."""
-    t, h = s["t"], s["char_height_px"]
-    plot = Plot(
-        _times(s),
-        padded([h], least=4.0, zero=True),
-        width=width,
-        height=180,
-        x_label="time, s",
-        y_label="height, px",
-        kind="time",
-    )
-    plot.line(t, h, "line main", "mean character height")
-    return plot.text("Character height in pixels over time")
+    h = s["char_height_px"]
+    y = padded([h], least=4.0, zero=True)
+    return _curve(s, h, y, "mean character height", "height, px", "Character height in pixels over time", width)
 
 
 def residuals(s: Series, width: int) -> str:
