@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import http.client
 import json
 import os
 import re
@@ -18,6 +19,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import cantools
+import cv2
 import numpy as np
 import pytest
 
@@ -195,6 +197,45 @@ def test_a_missing_camera_and_bus_are_faults_not_a_failed_start(tmp_path: Path, 
     service.wait_for("the fault", lambda: any("camera_lost" in line for line in service.heard))
     service.wait_for("a sign of life", lambda: "WATCHDOG=1" in service.heard)
     assert service.stop() < stop_limit_s()
+
+
+def ask(port: int, path: str, cookie: str = "") -> tuple[int, dict[str, str], bytes]:
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=PATIENCE_S)
+    with contextlib.closing(connection):
+        connection.request("GET", path, headers={"Cookie": cookie} if cookie else {})
+        answer = connection.getresponse()
+        return answer.status, {k.lower(): v for k, v in answer.getheaders()}, answer.read()
+
+
+def test_the_page_shows_the_running_service_and_holds_up_nothing_at_the_end(tmp_path: Path, clip: Path) -> None:
+    other = socket.create_server(("127.0.0.1", 0))  # the page's port is taken at first
+    port = other.getsockname()[1]
+    at = str(tmp_path / "status.sock")
+    page = {"view.enabled": "true", "view.port": str(port), "view.token": "s3cret", "runtime.status_socket": at}
+    service = Service(tmp_path, *settings(clip, **page))
+    service.wait_for("the fault", lambda: any("view_lost" in line for line in service.heard))
+    other.close()
+    service.wait_for("the page", lambda: f"works again; it is at http://127.0.0.1:{port}/" in service.stderr_file.read_text())
+    service.wait_for("the end of the fault", lambda: "view_lost" not in [line for line in service.heard if "STATUS" in line][-1])
+    assert ask(port, "/picture.jpg")[0] == 401
+    status, headers, _ = ask(port, "/?token=s3cret")
+    assert status == 303
+    cookie = headers["set-cookie"].split(";")[0]
+    status, headers, jpeg = ask(port, "/picture.jpg", cookie)
+    assert (status, headers["content-type"]) == (200, "image/jpeg")
+    picture = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
+    assert picture is not None
+    assert picture.shape[:2] == (240, 320)
+    streams = [socket.create_connection(("127.0.0.1", port)) for _ in range(2)]  # one reads, one never does
+    for s, path in zip(streams, ("/events", "/video"), strict=True):
+        s.sendall(f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1\r\nCookie: {cookie}\r\n\r\n".encode())
+    heard = b""
+    while heard.count(b"data: ") < 3:
+        heard += streams[0].recv(65536)
+    assert b'"distance_m"' in heard or b'"plates"' in heard
+    assert service.stop() < stop_limit_s()
+    for s in streams:
+        s.close()
 
 
 def test_a_wrong_configuration_ends_with_78(tmp_path: Path, clip: Path) -> None:

@@ -40,8 +40,7 @@ from tmde_edge.plates.standard import select
 from tmde_edge.ranging.budget import one_line
 
 if TYPE_CHECKING:  # the page's library is loaded only where the page is on
-    from tmde_edge.app.view.hub import Hub
-    from tmde_edge.app.view.server import ViewServer
+    from tmde_edge.app.view.keeper import PageKeeper
 
 _log = logging.getLogger(__name__)
 
@@ -107,9 +106,8 @@ def serve(
             stack.callback(outlet.close)
         page = _page(config)
         if page is not None:
-            page[0].start()
-            page[1].start()
-            stack.callback(page[1].close)
+            page.start()
+            stack.callback(page.close)
         command = None
         if config.alerts.command:
             command = AlertCommand(config.alerts.command, config.alerts.command_timeout_s)
@@ -120,7 +118,7 @@ def serve(
 
         def see(frame: Frame) -> Sighting:
             if page is not None:
-                page[0].look(frame)
+                page.hub.look(frame)
             eyes.thin_searches(shedder.search_factor if shedder is not None else 1)
             return eyes.see(frame)
 
@@ -130,11 +128,11 @@ def serve(
             estimation,
             notifier=Notifier(),
             log=log,
-            outlets=[o for o in (outlet, page[0] if page is not None else None) if o is not None],
+            outlets=[o for o in (outlet, page.hub if page is not None else None) if o is not None],
             on_alert=command.take if command is not None else None,
             on_frame=depth.submit if depth is not None else None,
             on_result=(teller.take, Notes(estimation)),
-            more_faults=(lambda: depth.faults) if depth is not None else None,
+            more_faults=lambda: tuple(name for part in (depth, page) if part is not None for name in part.faults),
             board=lambda: board.state,
             hot_c=runtime.hot_c,
             shedder=shedder,
@@ -214,19 +212,13 @@ def _outlet(config: Config) -> Publisher | None:
         return None
 
 
-def _page(config: Config) -> tuple[Hub, ViewServer] | None:
-    """The web page where it is wanted; a port that is taken costs the page, not the service."""
+def _page(config: Config) -> PageKeeper | None:
+    """The web page where it is wanted."""
     if not config.view.enabled:
         return None
-    from tmde_edge.app.view.run import build_page
+    from tmde_edge.app.view.run import kept_page
 
-    try:
-        hub, server = build_page(config, config.camera.device)
-    except DeviceError as error:
-        _log.error("the web page is off: %s", error)
-        return None
-    _log.info("the web page is at %s", server.url)
-    return hub, server
+    return kept_page(config)
 
 
 def _depth(

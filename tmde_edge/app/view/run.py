@@ -24,6 +24,7 @@ from tmde_edge.app.dry_run import Step, dry_run
 from tmde_edge.app.live import BusPort, LiveLoop
 from tmde_edge.app.publish import socket_path
 from tmde_edge.app.view.hub import Hub
+from tmde_edge.app.view.keeper import PageKeeper
 from tmde_edge.app.view.server import ViewServer
 from tmde_edge.app.wiring import build_camera, build_depth, build_estimation, build_eyes, threads
 from tmde_edge.config import Config
@@ -33,12 +34,23 @@ from tmde_edge.messages import CanFrame
 RETRY_S = 1.0
 
 
-def build_page(config: Config, title: str) -> tuple[Hub, ViewServer]:
+def build_hub(config: Config) -> Hub:
+    """The hub as configured."""
+    v = config.view
+    return Hub(config.camera.camera(), config.camera.height_m, rate_hz=v.rate_hz, width_px=v.width_px, quality=v.quality)
+
+
+def build_page(config: Config, title: str, hub: Hub | None = None) -> tuple[Hub, ViewServer]:
     """Hub and server as configured, listening but not yet started. Raises DeviceError."""
-    v, a = config.view, config.alerts
-    hub = Hub(config.camera.camera(), config.camera.height_m, rate_hz=v.rate_hz, width_px=v.width_px, quality=v.quality)
+    hub, v, a = hub or build_hub(config), config.view, config.alerts
     limits = {"caution": a.caution_ttc_s, "warning": a.warning_ttc_s}
     return hub, ViewServer(hub, v.host, v.port, v.token, title=title, limits=limits)
+
+
+def kept_page(config: Config) -> PageKeeper:
+    """The service's page: what cannot listen now is tried again."""
+    hub = build_hub(config)
+    return PageKeeper(hub, lambda: build_page(config, config.camera.device, hub)[1])
 
 
 class Silent:

@@ -7,6 +7,7 @@ import json
 import socket
 import threading
 import time
+import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,8 +16,10 @@ import cv2
 import numpy as np
 import pytest
 
+from tmde_edge.adapters.can_ports.retry import BackOff
 from tmde_edge.app.view.aiming import aim, exposure, nominal_camera, sharpness
 from tmde_edge.app.view.hub import Hub
+from tmde_edge.app.view.keeper import PageKeeper
 from tmde_edge.app.view.server import ViewServer, is_loopback
 from tmde_edge.cli import main
 from tmde_edge.errors import DeviceError
@@ -294,3 +297,37 @@ def test_the_command_line_names_what_is_missing(tmp_path: Path, capsys: pytest.C
     assert main(["view", "--set", f"publish.socket={tmp_path / 'no.sock'}"]) == 66
     assert "no service publishes" in capsys.readouterr().err
     assert main(["view", "--can-log", "x.log"]) == 2
+
+
+# -- in the service -----------------------------------------------------------------------------------------------------
+
+
+def test_a_taken_port_is_a_fault_until_it_is_free(caplog: pytest.LogCaptureFixture) -> None:
+    other = socket.create_server(("127.0.0.1", 0))
+    port = other.getsockname()[1]
+    shown = hub()
+    keeper = PageKeeper(
+        shown, lambda: ViewServer(shown, "127.0.0.1", port, "", title="test", limits={}), BackOff(0.05, 0.05)
+    )
+    keeper.start()
+    try:
+        assert keeper.faults == ("view_lost",)
+        other.close()
+        assert until(lambda: not keeper.faults)
+        shown.frame(result(0), sighting(0))
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}/", timeout=5) as answer:
+            assert answer.status == 200
+    finally:
+        keeper.close()
+    texts = [r.getMessage() for r in caplog.records if "web page" in r.getMessage()]
+    assert [("is off" in t, "works again" in t) for t in texts] == [(True, False), (False, True)]  # each told once
+    assert keeper.faults == ()
+
+
+def test_a_page_that_stopped_by_itself_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
+    shown = hub()
+    monkeypatch.setattr(shown, "_step", lambda: 1 / 0)
+    keeper = PageKeeper(shown, lambda: ViewServer(shown, "127.0.0.1", 0, "", title="test", limits={}))
+    keeper.start()
+    assert until(lambda: keeper.faults == ("view_lost",))
+    keeper.close()
