@@ -10,14 +10,14 @@ import json
 import secrets
 import socket
 import threading
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable
 from importlib.resources import files
 from urllib.parse import parse_qs
 
 import uvicorn
 from starlette.applications import Starlette
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, RedirectResponse, Response, StreamingResponse
+from starlette.responses import HTMLResponse, PlainTextResponse, RedirectResponse, Response, StreamingResponse
 from starlette.routing import Route
 from starlette.types import ASGIApp, Receive, Scope, Send
 
@@ -139,7 +139,7 @@ class Guard:
         # A foreign page that had its own name resolve to 127.0.0.1 must not read the camera.
         host = request.headers.get("host", "")
         if self._hosts is not None and host.rsplit(":", 1)[0] not in self._hosts and host not in self._hosts:
-            return Response("this page answers only to this machine's own name\n", 403)
+            return PlainTextResponse("this page answers only to this machine's own name\n", 403)
         if not self._token:
             return None
         given = parse_qs(request.url.query).get("token", [""])[0]
@@ -185,13 +185,15 @@ class Streams:
 
     async def _picture(self, _: Request) -> Response:
         """One picture: the next one that is drawn."""
-        async for jpeg in self._pictures(most=1):
-            return Response(jpeg, media_type="image/jpeg")
-        return Response("no picture\n", 503)
+        jpeg: bytes | None = None
+        async with contextlib.aclosing(self._pictures()) as pictures:
+            with contextlib.suppress(asyncio.TimeoutError):
+                jpeg = await asyncio.wait_for(anext(pictures, None), QUIET_S)
+        return PlainTextResponse("no picture\n", 503) if jpeg is None else Response(jpeg, media_type="image/jpeg")
 
     async def _video(self, request: Request) -> Response:
         if self._open >= MOST_STREAMS:
-            return Response("too many watch already\n", 503)
+            return PlainTextResponse("too many watch already\n", 503)
 
         async def parts() -> AsyncIterator[bytes]:
             async for jpeg in self._pictures():
@@ -202,7 +204,7 @@ class Streams:
 
     async def _events(self, request: Request) -> Response:
         if self._open >= MOST_STREAMS:
-            return Response("too many watch already\n", 503)
+            return PlainTextResponse("too many watch already\n", 503)
 
         async def lines() -> AsyncIterator[str]:
             first = {"title": self._title, "version": __version__, "limits": self._limits, "history": self._hub.history()}
@@ -212,19 +214,13 @@ class Streams:
 
         return StreamingResponse(lines(), media_type="text/event-stream")
 
-    async def _pictures(self, most: int | None = None) -> AsyncIterator[bytes]:
-        """Newest pictures; a reader that is slow skips some."""
-        sent, count = self._hub.picture_number, 0
+    async def _pictures(self) -> AsyncGenerator[bytes, None]:
+        """Newest pictures; a reader that is slow skips some, and news without a picture is none."""
+        sent = self._hub.picture_number
         async for _ in self._news(picture=True):
-            if self._hub.picture_number == sent or self._hub.jpeg is None:
-                if most is not None:
-                    return  # nothing came in time
-                continue
-            sent = self._hub.picture_number
-            yield self._hub.jpeg
-            count += 1
-            if count == most:
-                return
+            if self._hub.picture_number != sent and self._hub.jpeg is not None:
+                sent = self._hub.picture_number
+                yield self._hub.jpeg
 
     async def _news(self, picture: bool) -> AsyncIterator[None]:
         """Once for every piece of news, and now and then without."""

@@ -187,6 +187,33 @@ def test_the_rate_of_pictures_is_bounded() -> None:
     assert 1 <= slow.picture_number <= 7
 
 
+def test_one_picture_waits_for_a_picture_whatever_other_news_there_is() -> None:
+    shown = hub()
+    server = ViewServer(shown, "127.0.0.1", 0, "", title="test", limits={})
+    shown.start()
+    server.start()
+
+    def news() -> None:  # of the service, many times, and then one frame
+        until(lambda: shown.watchers == 1)
+        for k in range(40):
+            shown.service({"t": k})
+            shown._wake()
+            time.sleep(0.005)
+        shown.look(frame(1))
+        shown.frame(result(1), sighting(1))
+
+    speaker = threading.Thread(target=news)
+    speaker.start()
+    try:
+        with urllib.request.urlopen(f"http://127.0.0.1:{server.port}/picture.jpg", timeout=10) as answer:
+            assert answer.headers["content-type"] == "image/jpeg"
+            assert shown.picture_number == 1
+        assert until(lambda: shown.watchers == 0)
+    finally:
+        speaker.join()
+        server.close()
+
+
 def test_other_names_and_wrong_tokens_are_turned_away(page: Running) -> None:
     assert page.ask("/", {"Host": "evil.example"}).status == 403
     assert page.ask("/", {"Host": f"localhost:{page.server.port}"}).status == 200
