@@ -47,6 +47,8 @@ def test_every_shipped_standard_is_whole() -> None:
         ("ru-1", 520, 112, 76, 0.61),
         ("fr-1", 520, 110, 75, 2.04),
         ("gb-2001", 520, 111, 79, 0.63),
+        ("pl-1", 520, 114, 80, 0.64),
+        ("pl-2", 305, 214, 80, 2.4),
     ],
 )
 def test_known_sizes(id_: str, width: float, height: float, glyph: float, glyph_sigma: float) -> None:
