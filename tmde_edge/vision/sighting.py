@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from math import hypot
+from statistics import median
 from typing import Literal
 
 import numpy as np
@@ -51,25 +53,29 @@ def trimmed_mean(values: list[float], k: int) -> float | None:
     if not values:
         return None
     k = min(k, (len(values) - 1) // 2)
-    return float(np.mean(sorted(values)[k : len(values) - k]))
+    kept = sorted(values)[k : len(values) - k]
+    return sum(kept) / len(kept)
 
 
 def spacing(characters: tuple[CharacterBox, ...]) -> float | None:
     """Mean distance between the centres of neighbours in a row, source pixels; gaps between groups left out."""
     pitches: list[float] = []
+    centres = {id(c): tuple(((c.left_px + c.right_px) / 2).tolist()) for c in characters if c.main}
     for row in {c.row for c in characters}:
-        centres = sorted(tuple((c.left_px + c.right_px) / 2) for c in characters if c.row == row and c.main)
-        pitches += [float(np.hypot(b[0] - a[0], b[1] - a[1])) for a, b in pairwise(centres)]
+        ordered = sorted(centres[id(c)] for c in characters if c.row == row and c.main)
+        pitches += [hypot(b[0] - a[0], b[1] - a[1]) for a, b in pairwise(ordered)]
     if len(pitches) < 2:
         return None
-    near = [p for p in pitches if p <= GROUP_GAP * float(np.median(pitches))]
-    return float(np.mean(near))
+    near = [p for p in pitches if p <= GROUP_GAP * median(pitches)]
+    return sum(near) / len(near)
 
 
 def is_blind(image: Image, contrast_min: float) -> bool:
     """Whether the image shows nothing: black, saturated or nearly constant (2 % to 98 % of a coarse grid of its pixels)."""
     coarse = image[:: max(1, image.shape[0] // 60), :: max(1, image.shape[1] // 100)]
-    grey = np.sort(coarse.max(axis=2) if coarse.ndim == 3 else coarse, axis=None)
+    if coarse.ndim == 3:  # the brightest channel; numpy's own maximum over so short an axis is slow
+        coarse = np.maximum.reduce([coarse[..., i] for i in range(coarse.shape[2])])
+    grey = np.sort(coarse, axis=None)
     low, high = grey[len(grey) // 50], grey[len(grey) - 1 - len(grey) // 50]
     return bool(float(high) - float(low) < contrast_min)
 
@@ -82,4 +88,5 @@ def _glyph(c: CharacterBox) -> GlyphSighting:
 
 
 def _point(p: Array) -> Point:
-    return float(p[0]), float(p[1])
+    x, y = p.tolist()
+    return x, y

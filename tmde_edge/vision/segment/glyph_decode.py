@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from statistics import median
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,6 +15,9 @@ STRIDE_X_PX, STRIDE_Y_PX = 2, 4  # canvas pixels per cell of the glyph map
 BOX_SCALE_PX = 8.0  # of the box channels
 _HEAT_MIN = 0.40
 _OVERLAP_MAX = 0.45
+_LOGIT_MIN = float(np.log(_HEAT_MIN / (1.0 - _HEAT_MIN)))
+_AROUND = np.ones((3, 5), np.uint8)  # cells of the map within which a peak is alone: a narrow character
+_STEP = np.array([-1, 0, 1])
 _LAPLACE_SD = float(np.sqrt(2.0))
 
 
@@ -66,7 +71,7 @@ def decode(
     pixel_scale = float(np.sqrt(abs(np.linalg.det(source_from_canvas[:, :2]))))
     sigma = _LAPLACE_SD * np.exp(np.clip(tail[:4].astype(np.float64), -3.0, 4.0)) * pixel_scale
     right, down = _directions(canvas_corners)
-    glyphs = tuple(_to_source(box, row, right, down, source_from_canvas) for row, box in boxes)
+    glyphs = _to_source(boxes, right, down, source_from_canvas)
     return GlyphReading(
         platehood=_sigmoid(float(tail[4])), corners_px=apply_affine(source_from_canvas, canvas_corners), sigma_px=sigma,
         glyphs=glyphs, light_on_dark=bool(tail[5] > 0),
@@ -107,30 +112,35 @@ def _sigmoid(x: float) -> float:
     return float(1.0 / (1.0 + np.exp(-np.clip(x, -60.0, 60.0))))
 
 
+def _sigmoids(logits: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(1.0 / (1.0 + np.exp(-np.minimum(np.maximum(logits, -60.0), 60.0))))
+
+
 def _peaks(glyph_map: NDArray[np.float32]) -> list[_Box]:
     """Local maxima of the heat; each box is the heat-weighted mean of its neighbourhood's opinions."""
-    heat = 1.0 / (1.0 + np.exp(-np.clip(glyph_map[0].astype(np.float64), -60.0, 60.0)))
-    rows, cols = heat.shape
-    padded = np.pad(heat, 2)
-    shifts = [(dy, dx) for dy in (-1, 0, 1) for dx in (-2, -1, 0, 1, 2)]
-    around = np.max([padded[2 + dy : 2 + dy + rows, 2 + dx : 2 + dx + cols] for dy, dx in shifts], axis=0)
-    found = []
-    for r, c in np.argwhere((heat >= around) & (heat >= _HEAT_MIN)):
-        r0, r1, c0, c1 = max(r - 1, 0), min(r + 2, rows), max(c - 1, 0), min(c + 2, cols)
-        weight = heat[r0:r1, c0:c1]
-        weight = np.where(weight > 0.3 * heat[r, c], weight, 0.0)
-        weight = weight / weight.sum()
-        x = (np.arange(c0, c1) + 0.5) * STRIDE_X_PX - 0.5
-        y = ((np.arange(r0, r1) + 0.5) * STRIDE_Y_PX - 0.5)[:, None]
-        small, left, right, top, bottom = glyph_map[1:, r0:r1, c0:c1].astype(np.float64)
-        box = _Box(
-            left=float((weight * (x - BOX_SCALE_PX * left)).sum()), right=float((weight * (x + BOX_SCALE_PX * right)).sum()),
-            top=float((weight * (y - BOX_SCALE_PX * top)).sum()), bottom=float((weight * (y + BOX_SCALE_PX * bottom)).sum()),
-            score=float(heat[r, c]), small=_sigmoid(float((weight * small).sum())),
-        )
-        if box.right - box.left > 0.8 and box.height > 2.0:
-            found.append(box)
-    return found
+    logits = glyph_map[0]
+    r, c = np.nonzero((logits >= cv2.dilate(logits, _AROUND)) & (logits >= _LOGIT_MIN))
+    if not len(r):
+        return []
+    padded = np.pad(glyph_map, ((0, 0), (1, 1), (1, 1)))
+    padded[0, [0, -1], :] = padded[0, :, [0, -1]] = -60.0  # no heat outside
+    rows, cols = r[:, None, None] + _STEP[:, None], c[:, None, None] + _STEP  # (n, 3, 3) places, in unpadded cells
+    around = padded[:, rows + 1, cols + 1].astype(np.float64)
+    heat = _sigmoids(around[0])
+    weight = np.where(heat > 0.3 * heat[:, 1:2, 1:2], heat, 0.0)
+    weight /= weight.sum(axis=(1, 2), keepdims=True)
+    x, y = (cols + 0.5) * STRIDE_X_PX - 0.5, (rows + 0.5) * STRIDE_Y_PX - 0.5
+    small, left, right, top, bottom = around[1:]
+    values = np.stack([
+        x - BOX_SCALE_PX * left, x + BOX_SCALE_PX * right, y - BOX_SCALE_PX * top, y + BOX_SCALE_PX * bottom, small
+    ])
+    means = (values * weight).sum(axis=(2, 3))
+    means[4] = _sigmoids(means[4])
+    found = [
+        _Box(left=b[0], right=b[1], top=b[2], bottom=b[3], score=score, small=b[4])
+        for b, score in zip(means.T.tolist(), heat[:, 1, 1].tolist(), strict=True)
+    ]
+    return [box for box in found if box.right - box.left > 0.8 and box.height > 2.0]
 
 
 def _suppress(boxes: list[_Box]) -> list[_Box]:
@@ -150,21 +160,20 @@ def _suppress(boxes: list[_Box]) -> list[_Box]:
 
 def _directions(corners: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """The plate's right and down on the canvas: (1, slope) and (slope, 1); upright where the corners make no sense."""
-    along = (corners[1] + corners[2] - corners[0] - corners[3]) / 2
-    down = (corners[2] + corners[3] - corners[0] - corners[1]) / 2
-    right = np.array([1.0, float(np.clip(along[1] / max(along[0], 1.0), -1.0, 1.0))])
-    below = np.array([float(np.clip(down[0] / max(down[1], 1.0), -1.5, 1.5)), 1.0])
-    return right, below
+    (ax, ay), (bx, by), (cx, cy), (dx, dy) = corners.tolist()
+    slope = (by + cy - ay - dy) / max(bx + cx - ax - dx, 2.0)
+    lean = (cx + dx - ax - bx) / max(cy + dy - ay - by, 2.0)
+    return np.array([1.0, min(max(slope, -1.0), 1.0)]), np.array([min(max(lean, -1.5), 1.5), 1.0])
 
 
 def _grow_rows(boxes: list[_Box], corners: NDArray[np.float64]) -> list[tuple[int, _Box]]:
     """Boxes in reading order with their row; a weak box off every row's line or size is dropped."""
     if not boxes:
         return []
-    right, _ = _directions(corners)
-    tallest = float(np.median(sorted(b.height for b in boxes)[-max(1, (len(boxes) + 1) // 2) :]))
+    slope = float(_directions(corners)[0][1])
+    tallest = median(sorted(b.height for b in boxes)[-max(1, (len(boxes) + 1) // 2) :])
     boxes = [b for b in boxes if 0.35 * tallest < b.height < 1.6 * tallest or b.score > 0.8]
-    level = {id(b): b.y - right[1] * b.x for b in boxes}
+    level = {id(b): b.y - slope * b.x for b in boxes}
     rows: list[list[_Box]] = []
     for box in sorted(boxes, key=lambda b: -b.height):
         for members in rows:
@@ -177,17 +186,21 @@ def _grow_rows(boxes: list[_Box], corners: NDArray[np.float64]) -> list[tuple[in
             rows.append([box])
     best = max(sum(b.score for b in members) for members in rows)
     rows = [members for members in rows if len(members) > 1 or members[0].score > 0.5 or best < 1.0]
-    rows.sort(key=lambda members: float(np.mean([level[id(b)] for b in members])))
+    rows.sort(key=lambda members: sum(level[id(b)] for b in members) / len(members))
     return [(k, box) for k, members in enumerate(rows) for box in sorted(members, key=lambda b: b.x)]
 
 
 def _to_source(
-    box: _Box, row: int, right: NDArray[np.float64], down: NDArray[np.float64], source_from_canvas: NDArray[np.float64]
-) -> Glyph:
-    centre = np.array([box.x, box.y])
-    half_w, half_h = (box.right - box.left) / 2, box.height / 2
-    points = np.array([centre - half_w * right, centre + half_w * right, centre - half_h * down, centre + half_h * down])
-    left_px, right_px, top_px, bottom_px = apply_affine(source_from_canvas, points)
-    return Glyph(
-        left_px=left_px, right_px=right_px, top_px=top_px, bottom_px=bottom_px, score=box.score, main=box.small < 0.5, row=row
+    boxes: list[tuple[int, _Box]], right: NDArray[np.float64], down: NDArray[np.float64],
+    source_from_canvas: NDArray[np.float64],
+) -> tuple[Glyph, ...]:
+    if not boxes:
+        return ()
+    centre = np.array([(b.x, b.y) for _, b in boxes])
+    wide = np.array([[(b.right - b.left) / 2] for _, b in boxes]) * right
+    high = np.array([[b.height / 2] for _, b in boxes]) * down
+    points = apply_affine(source_from_canvas, np.stack([centre - wide, centre + wide, centre - high, centre + high], axis=1))
+    return tuple(
+        Glyph(left_px=p[0], right_px=p[1], top_px=p[2], bottom_px=p[3], score=b.score, main=b.small < 0.5, row=row)
+        for p, (row, b) in zip(points, boxes, strict=True)
     )
