@@ -7,6 +7,7 @@ template plus offset, with the mean of both gradients; Huber weights against ref
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import hypot, isfinite, sqrt
 
 import cv2
 import numpy as np
@@ -22,6 +23,7 @@ PIXELS_MIN = 60
 HUBER_SIGMAS = 2.0
 CORRELATED_PX = 4.0  # neighbours that share one independent residual: interpolation, demosaicing, compression
 NOISE_FLOOR_GREY = 1.0
+_CENTRAL = np.array([[-0.5, 0.0, 0.5]], np.float32)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,8 +36,18 @@ class Alignment:
     residual_grey: float
 
 
-def align(template: Image, later: Image, mask: NDArray[np.bool_], start: Array) -> Alignment | None:
-    """Similarity that takes the template's pixels under the mask into `later`, from a start (2, 3).
+def layers(grey: Image) -> NDArray[np.float32]:
+    """(h, w, 3) of a grey picture: itself and its gradients along x and y, grey levels a pixel."""
+    value = grey.astype(np.float32)
+    across = cv2.filter2D(value, cv2.CV_32F, _CENTRAL)
+    down = cv2.filter2D(value, cv2.CV_32F, _CENTRAL.T)
+    return np.asarray(cv2.merge([value, across, down]), dtype=np.float32)
+
+
+def align(
+    template: NDArray[np.float32], later: NDArray[np.float32], mask: NDArray[np.bool_], start: Array
+) -> Alignment | None:
+    """Similarity that takes the template's pixels under the mask into `later` (`layers` of both), from a start (2, 3).
 
     None where there is too little texture, too much leaves the image, or it does not settle.
     """
@@ -44,76 +56,56 @@ def align(template: Image, later: Image, mask: NDArray[np.bool_], start: Array) 
     rows, columns = rows[::skip], columns[::skip]
     if len(rows) < PIXELS_MIN:
         return None
-    then = template.astype(np.float32)
-    gx, gy = _gradients(then)
-    now = later.astype(np.float32)
-    layers = np.asarray(cv2.merge([now, *_gradients(now)]), dtype=np.float32)
-    points = np.column_stack([columns, rows]).astype(np.float64)
-    centre = points.mean(axis=0)
-    offsets = points - centre
-    wanted = then[rows, columns].astype(np.float64)
-    slope_then = np.column_stack([gx[rows, columns], gy[rows, columns]]).astype(np.float64)
+    cx, cy = float(columns.mean()), float(rows.mean())
+    x, y = columns - cx, rows - cy  # about the patch's centre
+    farthest = float(np.hypot(x, y).max())
+    wanted, then_x, then_y = template[rows, columns].T.astype(np.float64)
+    height, width = later.shape[:2]
     # z -> m z + t about the patch's centre, as complex numbers
     m = complex(start[0, 0], start[1, 0])
-    t = start[:, :2] @ centre + start[:, 2]
+    t = complex(*(start[:, :2] @ (cx, cy) + start[:, 2]).tolist())
     normal, sigma, step = np.eye(6), 0.0, np.inf
     weights = np.ones(len(rows))
-    jacobian = np.empty((len(rows), 6))
-    jacobian[:, 4], jacobian[:, 5] = wanted.mean() - wanted, -1.0
+    jacobian = np.empty((6, len(rows)))
+    jacobian[4], jacobian[5] = wanted.mean() - wanted, -1.0
     for _ in range(ITERATIONS):
-        at = _moved(offsets, m, t).astype(np.float32)
-        inside = (at >= 0).all(axis=1) & (at[:, 0] <= later.shape[1] - 1) & (at[:, 1] <= later.shape[0] - 1)
-        if inside.mean() < 0.8:
+        at_x = (m.real * x - m.imag * y + t.real).astype(np.float32)
+        at_y = (m.imag * x + m.real * y + t.imag).astype(np.float32)
+        inside = (at_x >= 0) & (at_x <= width - 1) & (at_y >= 0) & (at_y <= height - 1)
+        count = int(np.count_nonzero(inside))
+        if count < 0.8 * len(rows):
             return None
-        seen, sx, sy = _sample(layers, at)
+        # one row of many pixels: as a column it takes OpenCV twenty times as long
+        got = cv2.remap(later, at_x[None], at_y[None], cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+        seen, now_x, now_y = np.asarray(got)[0].T.astype(np.float64)
         # the mean of both gradients, the later image's turned back into the template's axes
-        slope_x = 0.5 * (slope_then[:, 0] + sx * m.real + sy * m.imag)
-        slope_y = 0.5 * (slope_then[:, 1] + sy * m.real - sx * m.imag)
-        jacobian[:, 0] = slope_x * offsets[:, 0] + slope_y * offsets[:, 1]
-        jacobian[:, 1] = slope_y * offsets[:, 0] - slope_x * offsets[:, 1]
-        jacobian[:, 2], jacobian[:, 3] = slope_x, slope_y
+        slope_x = 0.5 * (then_x + now_x * m.real + now_y * m.imag)
+        slope_y = 0.5 * (then_y + now_y * m.real - now_x * m.imag)
+        jacobian[0] = slope_x * x + slope_y * y
+        jacobian[1] = slope_y * x - slope_x * y
+        jacobian[2], jacobian[3] = slope_x, slope_y
         residual = seen - wanted
-        weighted = jacobian * (weights * inside)[:, None]
-        normal = weighted.T @ jacobian
+        weighted = jacobian * (weights * inside)
+        normal = weighted @ jacobian.T
         try:
-            solved = np.linalg.solve(normal, -(weighted.T @ residual))
+            solved = np.linalg.solve(normal, -(weighted @ residual))
         except np.linalg.LinAlgError:  # a patch without texture
             return None
-        left = np.abs(residual + jacobian @ solved)
-        sigma = max(NOISE_FLOOR_GREY, 1.4826 * float(np.partition(left[inside], (k := int(inside.sum()) // 2))[k]))
+        left = np.abs(residual + solved @ jacobian)
+        sigma = max(NOISE_FLOOR_GREY, 1.4826 * float(np.partition(left[inside], count // 2)[count // 2]))
         weights = np.minimum(1.0, HUBER_SIGMAS * sigma / np.maximum(left, 1e-9))
         # the step is in the template's axes: compose it in front of the map so far
-        turn = complex(1 + solved[0], solved[1])
-        shift = complex(solved[2], solved[3]) * m
-        t = t + np.array([shift.real, shift.imag])
-        m = m * turn
-        step = float(np.hypot(abs(turn - 1) * np.abs(offsets).max(), abs(shift)))
+        grown, turned, shift_x, shift_y = solved[:4].tolist()
+        turn, shift = complex(1 + grown, turned), complex(shift_x, shift_y) * m
+        t, m = t + shift, m * turn
+        step = hypot(abs(turn - 1) * farthest, abs(shift))
         if step < SETTLED_PX:
             break
-    if step > 0.1 or not np.isfinite(abs(m)):
+    if not step <= 0.1 or not isfinite(abs(m)):
         return None
     covariance = np.linalg.inv(normal) * sigma**2 * max(1.0, CORRELATED_PX / skip)
     linear = np.array([[m.real, -m.imag], [m.imag, m.real]])
     return Alignment(
-        matrix=np.column_stack([linear, t - linear @ centre]), ratio=abs(m), residual_grey=sigma,
-        ratio_sigma=abs(m) * float(np.sqrt(max(covariance[0, 0], 0.0))),
+        matrix=np.column_stack([linear, (t.real, t.imag) - linear @ (cx, cy)]), ratio=abs(m), residual_grey=sigma,
+        ratio_sigma=abs(m) * sqrt(max(float(covariance[0, 0]), 0.0)),
     )
-
-
-def _gradients(image: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    kernel = np.array([[-0.5, 0.0, 0.5]], np.float32)
-    return (
-        np.asarray(cv2.filter2D(image, cv2.CV_32F, kernel), dtype=np.float32),
-        np.asarray(cv2.filter2D(image, cv2.CV_32F, kernel.T), dtype=np.float32),
-    )
-
-
-def _moved(offsets: Array, m: complex, t: Array) -> Array:
-    x, y = offsets[:, 0], offsets[:, 1]
-    return np.column_stack([m.real * x - m.imag * y + t[0], m.imag * x + m.real * y + t[1]])
-
-
-def _sample(layers: NDArray[np.float32], at: NDArray[np.float32]) -> Array:
-    """(layers, n) cubic samples; border pixels are repeated outside."""
-    got = cv2.remap(layers, at[:, None, 0], at[:, None, 1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(np.asarray(got, dtype=np.float64)[:, 0].T)

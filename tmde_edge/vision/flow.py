@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tmde_edge.vision.align import Alignment, align
+from tmde_edge.vision.align import Alignment, align, layers
 from tmde_edge.vision.protocols import Image
 from tmde_edge.vision.rectify import bounds, size_px, to_grey
 from tmde_edge.vision.settings import FlowSettings
@@ -131,9 +131,10 @@ def grow(template: Template, image: Image, now_px: Array, settings: FlowSettings
     now_px: the plate's corners (4, 2) in the later image, right to a pixel or two.
     """
     grey, _, start = _start(template, image, now_px)
+    then, now = layers(template.grey), layers(grey)
     found: list[Growth | None] = []
     for mask in _parts(template, settings):
-        fit = align(template.grey, grey, mask > 0, start)
+        fit = align(then, now, mask > 0, start)
         found.append(None if fit is None else _dense_growth(fit, mask))
     return found[0], found[1]
 
@@ -145,7 +146,7 @@ def follow_rear(template: Template, image: Image, guess_px: Array, settings: Flo
     """
     grey, origin, start = _start(template, image, guess_px)
     ring = _parts(template, settings)[1]
-    fit = align(template.grey, grey, ring > 0, start)
+    fit = align(layers(template.grey), layers(grey), ring > 0, start)
     if fit is None:
         return None
     flat = (template.corners_px - template.origin_px) / template.reduce
