@@ -41,23 +41,20 @@ class Lines:
 
 def edges_towards(grey: Image, prior: FloatArray, reach_px: float) -> FloatArray | None:
     """Line pieces (n, 4) from edges whose direction could pass within reach of the prior."""
-    dx = cv2.Sobel(grey, cv2.CV_16S, 1, 0)
-    dy = cv2.Sobel(grey, cv2.CV_16S, 0, 1)
-    fx, fy = dx.astype(np.float32), dy.astype(np.float32)
-    strength = np.abs(fx) + np.abs(fy)
-    strong = float(np.clip(np.percentile(strength[::2, ::2], 93.0), 24.0, 240.0))
+    dx, dy = (np.asarray(d, dtype=np.int16) for d in cv2.spatialGradient(grey))
+    strong = float(np.clip(_strength(dx[::2, ::2], dy[::2, ::2], 0.93), 24.0, 240.0))
     edges = cv2.Canny(dx, dy, 0.5 * strong, strong)
-    # The line through (x, y) across its gradient misses the prior by |g . (p - prior)| / |g|; twice the reach sideways.
-    places: Any = cv2.findNonZero(edges)  # None without any, whatever its stubs say
+    first = min(max(0, math.ceil(prior[1] + 0.02 * grey.shape[1])), grey.shape[0])  # the road lies below the horizon
+    places: Any = cv2.findNonZero(edges[first:]) if first < grey.shape[0] else None  # None without any, whatever its stubs say
     if places is None:
         return None
-    xs, ys = np.asarray(places, dtype=np.int64).reshape(-1, 2).T
-    gx, gy = fx[ys, xs], fy[ys, xs]
-    miss = np.abs(gx * (xs - prior[0]) + gy * (ys - prior[1]))
-    far = np.hypot(xs - prior[0], ys - prior[1])
-    size = np.hypot(gx, gy)
-    allowed = np.abs(gy) * reach_px + np.abs(gx) * 2.0 * reach_px + size * 0.12 * far
-    right = (miss <= allowed) & (ys >= prior[1] + 0.02 * grey.shape[1])
+    # The line through (x, y) across its gradient misses the prior by |g . (p - prior)| / |g|; twice the reach sideways.
+    xs, ys = np.asarray(places).reshape(-1, 2).T.astype(np.int64)
+    ys += first
+    gx, gy = dx[ys, xs].astype(np.float32), dy[ys, xs].astype(np.float32)
+    px, py = (xs - prior[0]).astype(np.float32), (ys - prior[1]).astype(np.float32)
+    allowed = reach_px * (np.abs(gy) + 2.0 * np.abs(gx)) + 0.12 * np.sqrt((gx * gx + gy * gy) * (px * px + py * py))
+    right = np.abs(gx * px + gy * py) <= allowed
     ys, xs, rising = ys[right], xs[right], gx[right] > 0.0
     pieces = [_chains(grey.shape, ys[side], xs[side]) for side in (rising, ~rising)]
     found = np.concatenate(pieces)
@@ -65,6 +62,12 @@ def edges_towards(grey: Image, prior: FloatArray, reach_px: float) -> FloatArray
         return None
     length = np.hypot(found[:, 2] - found[:, 0], found[:, 3] - found[:, 1])
     return found[np.argsort(-length, kind="stable")[: 2 * MAX_LINES]]
+
+
+def _strength(dx: NDArray[np.int16], dy: NDArray[np.int16], share: float) -> int:
+    """The strength |dx| + |dy| that this share of the pixels does not exceed."""
+    counts = np.bincount((np.abs(dx) + np.abs(dy)).ravel())
+    return int(np.searchsorted(np.cumsum(counts), share * dx.size))
 
 
 def _chains(shape: tuple[int, ...], ys: NDArray[np.int64], xs: NDArray[np.int64]) -> FloatArray:
