@@ -40,7 +40,10 @@ def find_course(image: Image, vanishing_px: Point, focal_px: float) -> tuple[Cou
         return ()
     count = int(np.log(_LEAST_N_PX / highest) / np.log(_STEP))
     rows = highest * _STEP ** np.arange(count + 1)
-    ridges = [_ridges(image, v0 + n, n, u0) for n in rows]
+    top = max(0, int(v0))  # all rows lie below the vanishing point
+    below = image[top:]
+    sums = np.asarray(cv2.integral(below if below.ndim == 2 else cv2.cvtColor(below, cv2.COLOR_BGR2GRAY)), dtype=np.int32)
+    ridges = [_ridges(sums, v0 + n - top, n, u0) for n in rows.tolist()]
     lines = _near_lines(rows, ridges, highest)
     if not lines:
         return ()
@@ -61,31 +64,28 @@ def find_course(image: Image, vanishing_px: Point, focal_px: float) -> tuple[Cou
     return (*(fit.point(float(n), u0, v0) for n in kept[:-1 : max(1, len(kept) // 12)]), fit.point(float(reach), u0, v0))
 
 
-def _ridges(image: Image, row: float, n: float, u0: float) -> Array:
-    """X of the light lines that cross an image row."""
+def _ridges(sums: NDArray[np.int32], row: float, n: float, u0: float) -> Array:
+    """X of the light lines that cross an image row; sums: the image's integral (h + 1, w + 1)."""
     at = round(row)
     thick = max(0, int(0.01 * n))
-    part = image[max(at - thick, 0) : at + thick + 1]
-    if part.shape[0] == 0:
+    first, last = max(at - thick, 0), min(at + thick + 1, len(sums) - 1)
+    if first >= last:
         return np.zeros(0)
-    if part.ndim == 3:
-        part = np.asarray(cv2.cvtColor(part, cv2.COLOR_BGR2GRAY), np.uint8)
-    line = part.astype(np.float32).mean(axis=0)
+    total = sums[last] - sums[first]
     half = max(1, round(0.5 * _LINE_SHARE * n))
-    total = np.concatenate([[0.0], np.cumsum(line, dtype=np.float64)])
     size = 2 * half + 1
-    mean = (total[size:] - total[:-size]) / size  # centred at index + half
-    if len(mean) <= 4 * half + 2:
+    if len(total) - size <= 4 * half + 2:
         return np.zeros(0)
+    mean = (total[size:] - total[:-size]) / (size * (last - first))  # centred at index + half
     gap = 2 * half + 1
     response = np.zeros(len(mean))
     response[gap:-gap] = mean[gap:-gap] - np.maximum(mean[: -2 * gap], mean[2 * gap :])
-    inner = response[1:-1]
-    peaks = np.flatnonzero((inner > _CONTRAST) & (inner >= response[:-2]) & (inner > response[2:])) + 1
+    high = np.flatnonzero(response > _CONTRAST)  # none at the ends, which are zero
+    peaks = high[(response[high] >= response[high - 1]) & (response[high] > response[high + 1])]
     peaks = peaks[np.argsort(-response[peaks])[:10]]
     left, middle, right = response[peaks - 1], response[peaks], response[peaks + 1]
     bow = left - 2 * middle + right
-    shift = np.where(bow < -1e-6, 0.5 * (left - right) / np.where(bow < -1e-6, bow, 1.0), 0.0)
+    shift = np.where(bow < -1e-6, 0.5 * (left - right) / np.minimum(bow, -1e-6), 0.0)
     return np.asarray((peaks + half + np.clip(shift, -0.5, 0.5) - u0) / n, np.float64)
 
 
