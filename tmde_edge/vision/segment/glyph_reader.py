@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from math import sqrt
+from statistics import median
 from typing import Protocol
 
 import numpy as np
@@ -49,7 +51,7 @@ class GlyphReader:
         return [self._measure(image, r, c.hurried) for r, c in zip(readings, candidates, strict=True)]
 
     def _measure(self, image: Image, reading: GlyphReading, hurried: bool) -> PlateReading:
-        given_sigma = max(FLOOR_SIGMA_PX, float(np.sqrt(np.mean(np.square(reading.sigma_px)))))
+        given_sigma = max(FLOOR_SIGMA_PX, sqrt(float(reading.sigma_px @ reading.sigma_px) / len(reading.sigma_px)))
         corners = steadied(reading.corners_px, given_sigma)
         given = OutlineFit(corners_px=corners, sigma_px=given_sigma, refined=False, blur_px=None)
         if reading.platehood < self._settings.platehood_min or not is_convex(reading.corners_px):
@@ -69,18 +71,14 @@ class GlyphReader:
         main_strokes = [s for s, g in zip(strokes, reading.glyphs, strict=True) if g.main and s > 0]
         visible = not hurried and size_px(given.corners_px)[1] >= BORDER_HEIGHT_PX
         border = border_thickness(view.grey, reading.light_on_dark) if visible else None
-        characters = tuple(
-            _character(g, e, view, s, stroke)
-            for g, e, s, stroke in zip(reading.glyphs, edges, sigma, strokes, strict=True)
-        )
         return PlateReading(
             corners_px=fit.corners_px,
             corners_sigma_px=fit.sigma_px,
             refined=fit.refined,
-            characters=_classed(characters),
+            characters=_characters(reading.glyphs, edges, view, sigma, strokes),
             platehood=reading.platehood,
             light_on_dark=reading.light_on_dark,
-            stroke_px=float(np.median(main_strokes)) if main_strokes else None,
+            stroke_px=median(main_strokes) if main_strokes else None,
             border_px=None if border is None else border / view.per_px,
             blur_px=fit.blur_px,
         )
@@ -100,13 +98,11 @@ class GlyphReader:
         return replace(fit, corners_px=steadied(fit.corners_px, fit.sigma_px))
 
 
-def _classed(characters: tuple[CharacterBox, ...]) -> tuple[CharacterBox, ...]:
+def _main(glyphs: Sequence[Glyph], heights_px: Array, sigmas_px: Array) -> list[bool]:
     """The tallest height class again, from measured heights, where these are surer than the classes are apart."""
-    heights = np.array([np.hypot(*(c.bottom_px - c.top_px)) for c in characters], np.float64)
-    sigmas = np.array([np.sqrt(2) * c.sigma_tb_px for c in characters])
-    if np.median(sigmas) > 0.04 * np.median(heights):
-        return characters
-    return tuple(replace(c, main=bool(m)) for c, m in zip(characters, main_class(heights), strict=True))
+    if median((sqrt(2) * sigmas_px).tolist()) > 0.04 * median(heights_px.tolist()):
+        return [g.main for g in glyphs]
+    return [bool(m) for m in main_class(heights_px)]
 
 
 def _plain(fit: OutlineFit, reading: GlyphReading) -> PlateReading:
@@ -129,10 +125,9 @@ def _plain(fit: OutlineFit, reading: GlyphReading) -> PlateReading:
 def _flat_boxes(glyphs: Sequence[Glyph], view: FlatView) -> Array:
     """(n, 4) left, top, right, bottom in the rectified picture."""
     flat_from_source = np.asarray(np.linalg.inv(view.source_from_flat), dtype=np.float64)
-    names = ("left_px", "top_px", "right_px", "bottom_px")
-    sides = [np.array([getattr(g, n) for g in glyphs], np.float64) for n in names]
-    mapped = [apply_homography(flat_from_source, s) for s in sides]
-    return np.column_stack([mapped[0][:, 0], mapped[1][:, 1], mapped[2][:, 0], mapped[3][:, 1]])
+    sides = np.array([(g.left_px, g.top_px, g.right_px, g.bottom_px) for g in glyphs], np.float64)  # (n, 4, 2)
+    mapped = apply_homography(flat_from_source, sides.reshape(-1, 2)).reshape(-1, 4, 2)
+    return np.stack([mapped[:, 0, 0], mapped[:, 1, 1], mapped[:, 2, 0], mapped[:, 3, 1]], axis=1)
 
 
 def _with_network(boxes: Array, edges: Array, sigma: Array, per_px: float) -> tuple[Array, Array]:
@@ -150,12 +145,21 @@ def _with_network(boxes: Array, edges: Array, sigma: Array, per_px: float) -> tu
     return mixed, spread
 
 
-def _character(glyph: Glyph, edges: Array, view: FlatView, sigma: Array, stroke_px: float) -> CharacterBox:
-    left, top, right, bottom = edges
+def _characters(
+    glyphs: Sequence[Glyph], edges: Array, view: FlatView, sigma: Array, strokes_px: list[float]
+) -> tuple[CharacterBox, ...]:
+    """Edges (n, 4) of the rectified picture as edge middles in the source image; sigma (n, 2) of tb and lr edges."""
+    left, top, right, bottom = edges.T
     x, y = (left + right) / 2, (top + bottom) / 2
-    at = apply_homography(view.source_from_flat, np.array([[left, y], [right, y], [x, top], [x, bottom]]))
-    return CharacterBox(
-        left_px=at[0], right_px=at[1], top_px=at[2], bottom_px=at[3], score=glyph.score, main=glyph.main, row=glyph.row,
-        sigma_tb_px=float(sigma[0]) / view.per_px, sigma_lr_px=float(sigma[1]) / view.per_px,
-        stroke_px=stroke_px if stroke_px > 0 else None,
+    places = np.stack([left, y, right, y, x, top, x, bottom], axis=1).reshape(-1, 2)
+    at = apply_homography(view.source_from_flat, places).reshape(-1, 4, 2)
+    sigma_px = sigma / view.per_px
+    step = at[:, 3] - at[:, 2]
+    main = _main(glyphs, np.hypot(step[:, 0], step[:, 1]), sigma_px[:, 0])
+    return tuple(
+        CharacterBox(
+            left_px=p[0], right_px=p[1], top_px=p[2], bottom_px=p[3], score=g.score, main=m, row=g.row, sigma_tb_px=s_tb,
+            sigma_lr_px=s_lr, stroke_px=stroke if stroke > 0 else None,
+        )
+        for g, p, (s_tb, s_lr), m, stroke in zip(glyphs, at, sigma_px.tolist(), main, strokes_px, strict=True)
     )  # fmt: skip
