@@ -54,10 +54,9 @@ def fit_edges(
     damping = np.full(2 * n, 1e-2)
     cost, jacobian, residual = _evaluate(p, y, offsets_px, inside, noise, prior, weight)
     for _ in range(ITERATIONS):
-        across = jacobian.transpose(0, 2, 1)
-        damped = across @ jacobian
+        damped = jacobian @ jacobian.transpose(0, 2, 1)
         damped[:, _ALL, _ALL] = (damped[:, _ALL, _ALL] + weight**2) * (1 + damping[:, None])
-        gradient = (across @ residual[..., None])[..., 0] + weight**2 * (p - prior)
+        gradient = (jacobian @ residual[..., None])[..., 0] + weight**2 * (p - prior)
         step = np.linalg.solve(damped, gradient[..., None])[..., 0]
         trial = p - np.minimum(np.maximum(step, -_LIMIT), _LIMIT)
         trial[:, S] = np.minimum(np.maximum(trial[:, S], _S_MIN), _S_MAX)
@@ -69,7 +68,7 @@ def fit_edges(
         jacobian[better], residual[better] = t_jacobian[better], t_residual[better]
         if (moved < SETTLED_PX).all():
             break
-    normal = jacobian.transpose(0, 2, 1) @ jacobian
+    normal = jacobian @ jacobian.transpose(0, 2, 1)
     normal[:, _ALL, _ALL] += weight**2
     covariance = np.linalg.inv(normal)
     count = inside.sum(axis=1)
@@ -122,24 +121,25 @@ def _window(offsets_px: Array, start_px: Array, height_px: float) -> NDArray[np.
 def _evaluate(
     p: Array, y: Array, u: Array, inside: NDArray[np.bool_], noise: Array, prior: Array, weight: Array
 ) -> tuple[Array, Array, Array]:
-    """Cost (n,), jacobian (n, m, 7) and residuals (n, m) in noise units; outside the window both are zero."""
+    """Cost (n,), jacobian (n, 7, m) and residuals (n, m) in noise units; outside the window both are zero."""
     x, t, m, s = p[:, X, None], p[:, T, None], p[:, M, None], np.exp(p[:, S, None])
-    z = np.stack([(u - x + m + t) / s, (u - x + m) / s, (u - x) / s])
+    z = np.stack([u - x + m + t, u - x + m, u - x]) / s
+    square = z * z
     # normal distribution, within 3e-4 (Page 1977)
-    dist = 0.5 * (1 + np.tanh(0.7978845608 * (z + 0.044715 * z**3)))
-    dens = 0.3989422804 * np.exp(-0.5 * np.minimum(z * z, 200.0)) / s
+    dist = 0.5 + 0.5 * np.tanh(z * (0.7978845608 + 0.0356774081 * square))
+    dens = np.exp(-0.5 * np.minimum(square, 200.0)) * (0.3989422804 / s)
     ground, line, body = p[:, G, None], p[:, K, None], p[:, B, None]
-    step, back, out = line - ground, ground - line, body - ground
-    model = ground + step * dist[0] + back * dist[1] + out * dist[2]
-    j = np.empty((*y.shape, 7))
-    j[..., X] = -(step * dens[0] + back * dens[1] + out * dens[2])
-    j[..., T] = step * dens[0]
-    j[..., M] = step * dens[0] + back * dens[1]
-    j[..., S] = -s * (step * dens[0] * z[0] + back * dens[1] * z[1] + out * dens[2] * z[2])
-    j[..., G] = 1 - dist[0] + dist[1] - dist[2]
-    j[..., K] = dist[0] - dist[1]
-    j[..., B] = dist[2]
-    scale = (inside / noise[:, None])[..., None]
-    residual = (model - y) * scale[..., 0]
+    dens *= np.stack([line - ground, ground - line, body - ground])  # times the step that each of the three edges makes
+    j = np.empty((len(y), 7, y.shape[1]))
+    j[:, T] = dens[0]
+    j[:, M] = dens[0] + dens[1]
+    j[:, X] = -(j[:, M] + dens[2])
+    j[:, S] = -s * (dens * z).sum(axis=0)
+    j[:, K] = dist[0] - dist[1]
+    j[:, B] = dist[2]
+    j[:, G] = 1 - j[:, K] - dist[2]
+    scale = inside / noise[:, None]
+    residual = (ground * j[:, G] + line * j[:, K] + body * j[:, B] - y) * scale
     cost = (residual**2).sum(axis=1) + ((weight * (p - prior)) ** 2).sum(axis=1)
-    return cost, j * scale, residual
+    j *= scale[:, None]
+    return cost, j, residual

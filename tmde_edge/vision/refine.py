@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
+from math import hypot, sqrt
 
 import cv2
 import numpy as np
@@ -109,8 +111,9 @@ def _dark_ground(patch: NDArray[np.float32], corners_px: Array) -> bool:
 
 def _outward(a: Array, b: Array) -> Array:
     """Unit normal of a side that points out of a quadrilateral in order TL, TR, BR, BL (y down)."""
-    d = (b - a) / np.hypot(*(b - a))
-    return np.array([d[1], -d[0]])
+    dx, dy = (b - a).tolist()
+    length = hypot(dx, dy)
+    return np.array([dy / length, -dx / length])
 
 
 def _patch(image: Image, corners_px: Array, margin_px: float) -> tuple[NDArray[np.float32], Array]:
@@ -138,26 +141,33 @@ def _profiles(
     """
     along = np.linspace(-0.5 + ENDS, 0.5 - ENDS, rows, dtype=np.float64)
     outward = line_px[0] + along * line_px[1]
-    xy = (a + b) / 2 + along[:, None, None] * (b - a) + (outward[:, None] + across_px)[..., None] * _outward(a, b)
-    at = xy.astype(np.float32)
-    grey = cv2.remap(
-        patch, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan")
-    )
-    whole = np.isfinite(grey).all(axis=1)
+    (mx, my), (dx, dy), (nx, ny) = ((a + b) / 2).tolist(), (b - a).tolist(), _outward(a, b).tolist()
+    at_x = ((mx + along * dx + outward * nx)[:, None] + across_px * nx).astype(np.float32)
+    at_y = ((my + along * dy + outward * ny)[:, None] + across_px * ny).astype(np.float32)
+    grey = cv2.remap(patch, at_x, at_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan"))
+    # the image is convex: a row whose ends lie in it lies in it
+    whole = np.isfinite(grey[:, 0]) & np.isfinite(grey[:, -1])
+    if whole.all():
+        return along, np.asarray(grey, dtype=np.float64)
     return along[whole], np.asarray(grey[whole], dtype=np.float64)
 
 
 def _derivative(grey: Array, step_px: float, smooth_px: float) -> Array:
     """Derivative along the last axis, grey levels a pixel, by a Gaussian; repeated ends, same length."""
-    half = int(np.ceil(3 * smooth_px / step_px))
-    x = np.arange(-half, half + 1) * step_px
-    gauss = np.exp(-0.5 * (x / smooth_px) ** 2)
-    kernel = (x / smooth_px**2 * gauss / gauss.sum()).astype(np.float64)
     if grey.size == 0:  # no profile lies inside the image
         return np.zeros(grey.shape)
     flat = np.atleast_2d(grey)
-    out = cv2.filter2D(flat, cv2.CV_64F, kernel[None, :], borderType=cv2.BORDER_REPLICATE)
+    out = cv2.filter2D(flat, cv2.CV_64F, _kernel(step_px, smooth_px), borderType=cv2.BORDER_REPLICATE)
     return np.asarray(out, dtype=np.float64).reshape(grey.shape)
+
+
+@lru_cache(maxsize=64)
+def _kernel(step_px: float, smooth_px: float) -> Array:
+    """(1, n) derivative of a Gaussian, a pixel."""
+    half = int(np.ceil(3 * smooth_px / step_px))
+    x = np.arange(-half, half + 1) * step_px
+    gauss = np.exp(-0.5 * (x / smooth_px) ** 2)
+    return np.asarray((x / smooth_px**2 * gauss / gauss.sum())[None, :], dtype=np.float64)
 
 
 def _fit_sides(
@@ -347,27 +357,28 @@ def _measure(along: Array, offsets: Array, slope: Array, line_px: tuple[float, f
 
 def _tukey_line(x: Array, y: Array, weight: Array) -> tuple[float, float, float] | None:
     """Robust line y = at + tilt x: (at, tilt, sigma of the line at its ends); None where fewer than 4 points agree."""
-    robust = np.ones_like(x)
-    at, tilt = float(np.sort(y)[len(y) // 2]), 0.0
+    points = list(zip(x.tolist(), y.tolist(), weight.tolist(), strict=True))  # ten numbers: quicker by themselves than as arrays
+    n = len(points)
+    at, tilt, robust = 0.0, 0.0, [1.0] * n
     for _ in range(5):
-        w = weight * robust
-        total = w.sum()
-        mx, my = float(w @ x) / total, float(w @ y) / total
-        dx = x - mx
-        sxx = float(w @ (dx * dx))
-        tilt = float(w @ (dx * (y - my))) / sxx if sxx > 1e-12 else 0.0
-        at = float(my - tilt * mx)
-        residual = np.abs(y - at - tilt * x)
-        scale = max(1.4826 * float(np.sort(residual)[len(x) // 2]), 0.03)
-        robust = np.clip(1 - (residual / (4.685 * scale)) ** 2, 0, None) ** 2
-        if (robust > 0.2).sum() < 4:
+        w = [p[2] * r for p, r in zip(points, robust, strict=True)]
+        total = sum(w)
+        mx = sum(v * p[0] for v, p in zip(w, points, strict=True)) / total
+        my = sum(v * p[1] for v, p in zip(w, points, strict=True)) / total
+        sxx = sum(v * (p[0] - mx) ** 2 for v, p in zip(w, points, strict=True))
+        sxy = sum(v * (p[0] - mx) * (p[1] - my) for v, p in zip(w, points, strict=True))
+        tilt = sxy / sxx if sxx > 1e-12 else 0.0
+        at = my - tilt * mx
+        residual = [abs(p[1] - at - tilt * p[0]) for p in points]
+        reach = 4.685 * max(1.4826 * sorted(residual)[n // 2], 0.03)
+        robust = [max(1 - (r / reach) ** 2, 0.0) ** 2 for r in residual]
+        if sum(r > 0.2 for r in robust) < 4:
             return None
-    used = robust > 0.2
-    n = int(used.sum())
-    rms = float(np.sqrt(((y - at - tilt * x)[used] ** 2).sum() / (n - 2)))
-    xs = x[used]
-    leverage = 1 / n + 0.25 / max(float(((xs - xs.mean()) ** 2).sum()), 1e-6)
-    return at, tilt, rms * float(np.sqrt(leverage)) * float(np.sqrt(len(x) / n))
+    used = [(p[0], p[1] - at - tilt * p[0]) for p, r in zip(points, robust, strict=True) if r > 0.2]
+    middle = sum(u for u, _ in used) / len(used)
+    rms = sqrt(sum(r * r for _, r in used) / (len(used) - 2))
+    leverage = 1 / len(used) + 0.25 / max(sum((u - middle) ** 2 for u, _ in used), 1e-6)
+    return at, tilt, rms * sqrt(leverage * n / len(used))
 
 
 def _intersection(p: tuple[Array, Array], q: tuple[Array, Array]) -> Array:
