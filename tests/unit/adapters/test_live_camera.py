@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import cv2
@@ -13,7 +13,9 @@ import pytest
 from tmde_edge.adapters.cameras.disabled import DisabledCamera
 from tmde_edge.adapters.cameras.live_camera import Captured, WatchedCamera
 from tmde_edge.adapters.cameras.played_file import PlayedFile
+from tmde_edge.adapters.cameras.sources import SourceItem
 from tmde_edge.errors import DeviceError
+from tmde_edge.messages import Frame
 
 IMAGE = np.zeros((2, 2), np.uint8)
 
@@ -233,6 +235,39 @@ def test_a_late_reader_gets_the_newest_frame(tmp_path: Path) -> None:
     assert level(captured) == 2
     assert captured is not None
     assert captured.index == 2
+
+
+def test_a_frame_does_not_wait_for_the_decoding_of_the_next(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = Clock()
+    camera = played(tmp_path, clock)
+    items = camera._items
+    assert items is not None
+
+    def slow() -> Iterator[SourceItem]:
+        for item in items:
+            clock.wait(0.03)  # what decoding takes
+            yield item
+
+    monkeypatch.setattr(camera, "_items", slow())
+    for i in range(5):
+        captured = camera.read(0.2)
+        assert level(captured) == i
+        assert captured is not None
+        assert clock.now_ns == pytest.approx(captured.t_ns, abs=2)
+
+
+def test_a_file_that_decodes_too_slowly_still_gives_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = Clock()
+    camera = played(tmp_path, clock, loop=True)
+
+    def slow() -> Iterator[SourceItem]:
+        for i in range(50):
+            clock.wait(0.15)
+            yield Frame(t_ns=i * 100_000_000, index=i, image=IMAGE)
+
+    monkeypatch.setattr(camera, "_items", slow())
+    monkeypatch.setattr(camera, "_ahead", None)
+    assert sum(camera.read(0.2) is not None for _ in range(10)) == 10
 
 
 def test_a_loop_goes_on_in_time_and_count(tmp_path: Path) -> None:

@@ -53,12 +53,17 @@ class PlayedFile:
         self._offset = self._count
 
     def read(self, timeout_s: float) -> Captured | None:
-        """The newest frame that is due. Raises DeviceError when the file turns out unreadable."""
+        """The newest frame that is due. Raises DeviceError when the file turns out unreadable.
+
+        The frame after it is decoded by the next call, not before this one is given away: that would delay it.
+        """
         deadline_ns = self._clock_ns() + round(timeout_s * 1e9)
         newest: Captured | None = None
         while not self.ended:
-            ahead = self._ahead
+            ahead = self._ahead = self._ahead or self._decoded()
             if ahead is None:
+                if newest is not None:
+                    break
                 self._at_end()
                 continue
             due_ns = self._start_ns + ahead.t_ns
@@ -69,8 +74,10 @@ class PlayedFile:
                 self._sleep((due_ns - now_ns) * 1e-9)
                 continue
             newest = self._captured(ahead, due_ns)
-            self._last_ns = ahead.t_ns
-            self._advance()
+            step_ns = ahead.t_ns - self._last_ns or self._step_ns
+            self._last_ns, self._ahead = ahead.t_ns, None
+            if now_ns < due_ns + step_ns or now_ns >= deadline_ns:  # none after it is due; or decoding takes too long
+                break
         if newest is None:
             self._sleep(max(deadline_ns - self._clock_ns(), 0) * 1e-9)
         return newest
@@ -84,9 +91,9 @@ class PlayedFile:
         image = item.image if isinstance(item, Frame) else None
         return Captured(t_ns=due_ns, index=self._count - 1, decode=lambda: image)
 
-    def _advance(self) -> None:
+    def _decoded(self) -> SourceItem | None:
         try:
-            self._ahead = next(self._items, None) if self._items is not None else None
+            return next(self._items, None) if self._items is not None else None
         except InputDataError as error:
             raise DeviceError(str(error)) from error
 
