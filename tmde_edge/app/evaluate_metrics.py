@@ -1,7 +1,8 @@
-"""Per-stage numbers of evaluated rows, and two configurations side by side with paired bootstrap intervals."""
+"""Per-stage numbers of evaluated rows, whole or by size or distance; two configurations with paired bootstrap intervals."""
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -17,6 +18,10 @@ MATCH_IOU = 0.5
 DRAWS = 1000
 CONFIDENCE = 0.95
 _BLOCK_S = 1.0  # neighbouring frames repeat their errors: stretches are drawn, not frames
+_PARTS: dict[str, tuple[tuple[str, ...], tuple[float, ...], str]] = {  # columns, edges, unit
+    "width": (("true_width_px",), (30.0, 45.0, 60.0, 90.0, 150.0), "px"),
+    "distance": (("true_m", "lead_true_m"), (5.0, 10.0, 20.0, 40.0), "m"),
+}
 _MIN_RECORDINGS = 5  # from so many recordings on these are drawn as a whole
 
 
@@ -28,43 +33,54 @@ class Metric:
     name: str
     how: Literal["mean", "median", "p95"]
     better: int
-    value: Callable[[Row], float | None]
+    values: Callable[[Row], Sequence[float]]  # mostly one or none
     percent: bool = True
 
 
-def _key(name: str) -> Callable[[Row], float | None]:
-    return lambda row: None if row.get(name) is None else float(row[name])
+def _key(name: str) -> Callable[[Row], Sequence[float]]:
+    return lambda row: () if row.get(name) is None else (float(row[name]),)
 
 
-def _size(name: str) -> Callable[[Row], float | None]:
-    return lambda row: None if row.get(name) is None else abs(float(row[name]))
+def _size(name: str) -> Callable[[Row], Sequence[float]]:
+    return lambda row: () if row.get(name) is None else (abs(float(row[name])),)
 
 
-def _inside(error: str, sigma: str, k: float) -> Callable[[Row], float | None]:
-    def value(row: Row) -> float | None:
+def _inside(error: str, sigma: str, k: float) -> Callable[[Row], Sequence[float]]:
+    def values(row: Row) -> Sequence[float]:
         if row.get(error) is None or row.get(sigma) is None:
-            return None
-        return float(abs(row[error]) <= k * row[sigma])
+            return ()
+        return (float(abs(row[error]) <= k * row[sigma]),)
 
-    return value
+    return values
+
+
+def _found_right(row: Row) -> Sequence[float]:
+    """1 for a plate that was found, 0 for each false one: their mean is the precision."""
+    right = (1.0,) if row.get("found") else ()
+    return (*right, *(0.0 for _ in range(int(row.get("false_plates") or 0))))
 
 
 METRICS: tuple[Metric, ...] = (
-    Metric(stage="detection", name="recall", how="mean", better=1, value=_key("found")),
-    Metric(stage="detection", name="false a frame", how="mean", better=-1, value=_key("false_plates"), percent=False),
-    Metric(stage="rectification", name="corner error / height", how="median", better=-1, value=_key("corner_error")),
-    Metric(stage="segmentation", name="count exact", how="mean", better=1, value=_key("count_exact")),
-    Metric(stage="segmentation", name="height error", how="median", better=-1, value=_size("char_height_error")),
-    Metric(stage="range", name="ranged", how="mean", better=1, value=_key("ranged")),
-    Metric(stage="range", name="median |error|", how="median", better=-1, value=_size("range_error")),
-    Metric(stage="range", name="p95 |error|", how="p95", better=-1, value=_size("range_error")),
-    Metric(stage="range", name="bias", how="mean", better=0, value=_key("range_error")),
-    Metric(stage="range", name="inside 1 sigma", how="mean", better=0, value=_inside("range_error", "range_sigma", 1)),
-    Metric(stage="range", name="inside 2 sigma", how="mean", better=0, value=_inside("range_error", "range_sigma", 2)),
-    Metric(stage="lead", name="reported", how="mean", better=1, value=_key("lead_reported")),
-    Metric(stage="lead", name="median |error|", how="median", better=-1, value=_size("lead_error")),
-    Metric(stage="lead", name="p95 |error|", how="p95", better=-1, value=_size("lead_error")),
-    Metric(stage="lead", name="inside 2 sigma", how="mean", better=0, value=_inside("lead_error", "lead_sigma", 2)),
+    Metric(stage="detection", name="recall", how="mean", better=1, values=_key("found")),
+    Metric(stage="detection", name="precision", how="mean", better=1, values=_found_right),
+    Metric(stage="detection", name="false a frame", how="mean", better=-1, values=_key("false_plates"), percent=False),
+    Metric(stage="rectification", name="corner error / height", how="median", better=-1, values=_key("corner_error")),
+    Metric(stage="segmentation", name="count exact", how="mean", better=1, values=_key("count_exact")),
+    Metric(stage="segmentation", name="height error", how="median", better=-1, values=_size("char_height_error")),
+    Metric(stage="range", name="ranged", how="mean", better=1, values=_key("ranged")),
+    Metric(stage="range", name="median |error|", how="median", better=-1, values=_size("range_error")),
+    Metric(stage="range", name="mean |error|", how="mean", better=-1, values=_size("range_error")),
+    Metric(stage="range", name="p95 |error|", how="p95", better=-1, values=_size("range_error")),
+    Metric(stage="range", name="bias", how="mean", better=0, values=_key("range_error")),
+    Metric(stage="range", name="inside 1 sigma", how="mean", better=0, values=_inside("range_error", "range_sigma", 1)),
+    Metric(stage="range", name="inside 2 sigma", how="mean", better=0, values=_inside("range_error", "range_sigma", 2)),
+    Metric(stage="lead", name="reported", how="mean", better=1, values=_key("lead_reported")),
+    Metric(stage="lead", name="median |error|", how="median", better=-1, values=_size("lead_error")),
+    Metric(stage="lead", name="mean |error|", how="mean", better=-1, values=_size("lead_error")),
+    Metric(stage="lead", name="p95 |error|", how="p95", better=-1, values=_size("lead_error")),
+    Metric(stage="lead", name="bias", how="mean", better=0, values=_key("lead_error")),
+    Metric(stage="lead", name="inside 1 sigma", how="mean", better=0, values=_inside("lead_error", "lead_sigma", 1)),
+    Metric(stage="lead", name="inside 2 sigma", how="mean", better=0, values=_inside("lead_error", "lead_sigma", 2)),
 )
 
 
@@ -130,6 +146,23 @@ def compare(
     return out
 
 
+def parts(rows: Sequence[Row], by: str) -> list[tuple[str, list[Row]]]:
+    """(words, rows) of each part of `rows` by true plate width in pixels or true distance in metres; "" is all of them."""
+    if not by:
+        return [("", list(rows))]
+    keys, edges, unit = _PARTS[by]
+
+    def place(row: Row) -> float | None:
+        return next((float(row[k]) for k in keys if row.get(k) is not None), None)
+
+    found = []
+    for low, high in itertools.pairwise((0.0, *edges, math.inf)):
+        inside = [r for r in rows if (at := place(r)) is not None and low <= at < high]
+        if inside:
+            found.append((f"from {low:g} {unit}" if high == math.inf else f"{low:g} to {high:g} {unit}", inside))
+    return found
+
+
 def _cluster_of(row: Row, by_recording: bool) -> tuple[str, int]:
     if by_recording or row.get("t_s") is None:
         return str(row["recording"]), 0 if row.get("t_s") is not None else int(row.get("frame", 0))
@@ -146,7 +179,7 @@ def _clusters(rows: Sequence[Row]) -> dict[tuple[str, int], int]:
 
 
 def _values(rows: Sequence[Row], metric: Metric, place: dict[tuple[str, int], int]) -> tuple[Floats, NDArray[np.int64]]:
-    found = [(v, place[_cluster_of(r, False)]) for r in rows if (v := metric.value(r)) is not None and math.isfinite(v)]
+    found = [(v, place[_cluster_of(r, False)]) for r in rows for v in metric.values(r) if math.isfinite(v)]
     return np.array([v for v, _ in found], np.float64), np.array([c for _, c in found], np.int64)
 
 

@@ -39,10 +39,11 @@ def add_measure(verbs: Verbs) -> None:
 def add_simulate(verbs: Verbs) -> None:
     sub = verbs.add("simulate", _simulate, "renders a scenario with exact truth: video.mp4, can.log, truth.csv, config.toml")
     sub.add_argument("scenario", nargs="?", metavar="SCENARIO")
+    sub.add_argument("--stills", type=int, metavar="N", help="instead: N photos of one plate each, with labels.csv for evaluate")
     sub.add_argument("--list", action="store_true", help="the scenarios there are")
     sub.add_argument("--out", metavar="FOLDER", type=Path)
     sub.add_argument("--seed", type=int, default=0)
-    sub.add_argument("--plate", metavar="STANDARD", help="another plate standard than the scenario's own")
+    sub.add_argument("--plate", metavar="STANDARD", help="another plate standard than the scenario's own (--stills: de-mittel)")
     sub.add_argument("--all", action="store_true", help="with --check: every scenario")
     sub.add_argument("--check", action="store_true", help="run the desk on it and judge the alerts; exit 1 on a miss")
     sub.add_argument(
@@ -141,8 +142,15 @@ def _simulate(args: argparse.Namespace) -> int:
         return 0
     if args.check:
         return _simulate_check(args)
-    if args.scenario is None or args.out is None:
-        raise UsageError("simulate needs a SCENARIO and --out FOLDER; `tmde-edge simulate --list` names the scenarios")
+    if (args.scenario is None) == (args.stills is None) or args.out is None:
+        raise UsageError("simulate needs a SCENARIO (`tmde-edge simulate --list`) or --stills N, and --out FOLDER")
+    if args.stills is not None:
+        from tmde_edge.app.simulate_stills import simulate_stills
+
+        bar = progress_bar("simulate", args.quiet)
+        simulate_stills(args.stills, args.out, standard=args.plate or "de-mittel", seed=args.seed, progress=bar)
+        say(args, f"{args.stills} stills in {args.out}, labels.csv, config.toml; next: tmde-edge evaluate {args.out}")
+        return 0
     made = simulate(args.scenario, args.out, seed=args.seed, plate=args.plate, progress=progress_bar("simulate", args.quiet))
     say(args, f"{made.frame_count} frames in {args.out}: video.mp4, can.log, truth.csv, config.toml")
     return 0

@@ -18,6 +18,7 @@ def add_evaluate(verbs: Verbs) -> None:
     sub.add_argument("--jobs", type=int, metavar="N", help="processes (default: one a core)")
     sub.add_argument("--out", type=Path, metavar="FILE", help="every row: .csv, or .parquet where pyarrow is there")
     sub.add_argument("--json", action="store_true", help="the numbers as one JSON object")
+    sub.add_argument("--by", choices=["width", "distance"], default="", help="a table for each range of plate width or distance")
     sub.add_argument("--seed", type=int, default=0, help="of the bootstrap")
 
 
@@ -45,16 +46,21 @@ def _evaluate(args: argparse.Namespace) -> int:
         ev.write_rows(args.out, rows)
         say(args, f"{len(rows)} rows in {args.out}")
     by = [[r for r in rows if r["config"] == c.name] for c in configs]
-    scored = [metrics.scores(part, seed=args.seed) for part in by]
     compared = metrics.compare(by[0], by[1], seed=args.seed) if len(by) == 2 else []
     worse = [d for d in compared if d.worse]
     if args.json:
-        told = {c.name: [metrics.as_json(s) for s in found] for c, found in zip(configs, scored, strict=True)}
-        print(json.dumps({"configs": told, "differences": [metrics.as_json(d) for d in compared], "worse": len(worse)}))
+        told: dict[str, Any] = {"configs": {}, "parts": {}, "differences": [metrics.as_json(d) for d in compared]}
+        for c, of in zip(configs, by, strict=True):
+            told["configs"][c.name] = [metrics.as_json(s) for s in metrics.scores(of, seed=args.seed)]
+            if args.by:
+                told["parts"][c.name] = {name: [metrics.as_json(s) for s in metrics.scores(part, seed=args.seed)]
+                                         for name, part in metrics.parts(of, args.by)}  # fmt: skip
+        print(json.dumps({**told, "worse": len(worse)}))
     else:
-        for c, found in zip(configs, scored, strict=True):
-            print(f"{c.name}: {len({r['recording'] for r in rows})} sources")
-            print("\n".join(metrics.score_lines(found)))
+        for c, of in zip(configs, by, strict=True):
+            for name, part in metrics.parts(of, args.by):
+                print(f"{c.name}: {name or str(len({r['recording'] for r in of})) + ' sources'}")
+                print("\n".join(metrics.score_lines(metrics.scores(part, seed=args.seed))))
         if compared:
             print(f"A = {configs[0].name}, B = {configs[1].name}")
             print("\n".join(metrics.difference_lines(compared)))

@@ -12,7 +12,7 @@ import cv2
 import pytest
 
 from tmde_edge.app import evaluate as ev
-from tmde_edge.app.evaluate_metrics import compare, scores
+from tmde_edge.app.evaluate_metrics import compare, parts, scores
 from tmde_edge.app.evaluate_truth import TrueFrame, TruePlate, rows_of, still_labels
 from tmde_edge.cli import main
 from tmde_edge.errors import InputDataError, InputMissingError, UsageError
@@ -118,14 +118,54 @@ def test_rows_count_misses_false_plates_and_errors() -> None:
 
 def test_intervals_hold_the_truth_and_pair_the_draws() -> None:
     a = [{"recording": "r", "frame": i, "found": float(i % 4 > 0)} for i in range(200)]
-    (recall,) = scores(a)
+    recall = scores(a)[0]
     assert recall.value == pytest.approx(0.75)
     assert 0.65 < recall.low < 0.75 < recall.high < 0.85
     b = [{**r, "found": 0.0 if r["frame"] == 1 else r["found"]} for r in a]
-    (same,), (down,) = compare(a, a), compare(a, [{**r, "found": r["found"] * (r["frame"] % 8 != 1)} for r in a])
+    same, down = compare(a, a)[0], compare(a, [{**r, "found": r["found"] * (r["frame"] % 8 != 1)} for r in a])[0]
     assert (same.low, same.high, same.worse) == (0.0, 0.0, False)
     assert down.worse
     assert not compare(a, b)[0].worse  # one frame of 200 is no evidence
+
+
+def test_precision_counts_plates_and_false_plates_together() -> None:
+    rows = [{"recording": "r", "frame": 0, "found": 1.0, "false_plates": 2.0}, {"recording": "r", "frame": 1, "found": 0.0},
+            {"recording": "r", "frame": 2, "false_plates": 1.0}]  # fmt: skip
+    found = {s.metric.name: s for s in scores(rows)}
+    assert (found["precision"].value, found["precision"].count) == (0.25, 4)
+    assert found["recall"].value == 0.5
+
+
+def test_tables_by_width_and_distance(stills: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rows = [{"true_width_px": w, "true_m": 300 / w} for w in (20.0, 44.9, 45.0, 400.0)]
+    assert [(name, len(part)) for name, part in parts(rows, "width")] == [
+        ("0 to 30 px", 1), ("30 to 45 px", 1), ("45 to 60 px", 1), ("from 150 px", 1)
+    ]  # fmt: skip
+    assert [name for name, _ in parts([{"lead_true_m": 12.0}, {}], "distance")] == ["10 to 20 m"]
+    assert main(["evaluate", str(stills), "--jobs", "1", "--by", "width", "--json", "-q"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert len(told["parts"]["as recorded"]) == 2  # rendered 60, 90 and 120 px wide, within a pixel
+    counts = [next(m["count"] for m in found if m["metric"] == "recall") for found in told["parts"]["as recorded"].values()]
+    assert sum(counts) == 3
+    assert main(["evaluate", str(stills), "--jobs", "1", "--by", "width", "-q"]) == 0
+    assert "as recorded: 90 to 150 px" in capsys.readouterr().out
+
+
+def test_rendered_stills_are_a_set_to_evaluate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "set"
+    assert main(["simulate", "--stills", "2", "--plate", "us-mi", "--out", str(folder), "-q", "--seed", "3"]) == 0
+    labels = still_labels(folder / "labels.csv")
+    assert sorted(labels) == ["0000.jpg", "0001.jpg"]
+    for frame in labels.values():
+        (plate,) = frame.plates
+        assert plate.characters
+        assert plate.distance_m is not None
+        assert 0 <= plate.box[0] < plate.box[2] < 1280
+        assert 0 <= plate.box[1] < plate.box[3] < 720
+    assert main(["evaluate", str(folder), "--jobs", "1", "--json", "-q"]) == 0
+    assert {m["metric"]: m["count"] for m in json.loads(capsys.readouterr().out)["configs"]["as recorded"]}["recall"] == 2
+    assert main(["simulate", "--stills", "2", "--plate", "atlantis", "--out", str(folder), "-q"]) == 2
+    assert main(["simulate", "--stills", "2", "approach", "--out", str(folder), "-q"]) == 2
 
 
 def test_a_short_drive_and_its_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -74,7 +74,7 @@ class Hub:
             self._closing = True
             self._lock.notify_all()
         if self._thread.is_alive():
-            self._thread.join(2.0)
+            self._thread.join(0.5)
         self._wake()
 
     @property

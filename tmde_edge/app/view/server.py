@@ -28,6 +28,7 @@ from tmde_edge.errors import DeviceError
 MOST_STREAMS = 8  # pictures and numbers at once; beyond that: 503
 COOKIE = "tmde_edge_view"
 WRONG_TOKEN_S = 0.5
+POLITE_S, JOIN_S = 0.5, 1.0  # at the end for streams to end by themselves; for the thread
 QUIET_S = 5.0  # without news a stream says that it still lives
 TYPES = {"index.html": "text/html", "view.css": "text/css", "view.js": "text/javascript"}
 HEADERS = {
@@ -92,11 +93,14 @@ class ViewServer:
         self._thread.start()
 
     def close(self) -> None:
-        """Ends all streams, then the server."""
+        """Ends all streams, then the server; a reader that does not read is not waited for."""
         self._hub.close()
         self._server.should_exit = True
         if self._thread.is_alive():
-            self._thread.join(4.0)
+            self._thread.join(POLITE_S)
+        self._server.force_exit = True
+        if self._thread.is_alive():
+            self._thread.join(JOIN_S)
         self._socket.close()
 
     def _run(self) -> None:
@@ -196,9 +200,11 @@ class Streams:
             return PlainTextResponse("too many watch already\n", 503)
 
         async def parts() -> AsyncIterator[bytes]:
+            # A browser shows a picture when its closing boundary has come: it is sent along, not with the next picture.
+            yield b"--frame\r\n"
             async for jpeg in self._pictures():
-                head = f"--frame\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
-                yield head.encode() + jpeg + b"\r\n"
+                head = f"Content-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
+                yield head.encode() + jpeg + b"\r\n--frame\r\n"
 
         return StreamingResponse(parts(), media_type="multipart/x-mixed-replace; boundary=frame")
 

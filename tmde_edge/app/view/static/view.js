@@ -56,18 +56,21 @@ function aim(a) {
   at("aid").toggleAttribute("hidden", !on);
   document.querySelectorAll(".tag").forEach((e) => e.remove());
   if (!on || !a.zones) return;
-  const shapes = [];
+  const shapes = [], tags = [], stage = at("stage");
   if (a.horizon) shapes.push(shape("line", { x1: a.horizon[0][0], y1: a.horizon[0][1], x2: a.horizon[1][0], y2: a.horizon[1][1] }));
   for (const z of a.zones) {
     const [left, top, right, bottom] = z.box;
     shapes.push(shape("rect", { x: left, y: top, width: right - left, height: bottom - top }));
-    if (top > 0.03 && top < 1 && left < 1) {
+    const x = Math.max(left, 0) * stage.clientWidth, y = top * stage.clientHeight;
+    const free = tags.every((t) => Math.abs(t[0] - x) > 28 || Math.abs(t[1] - y) > 12);  // no tag over another on a phone
+    if (free && top > 0.03 && top < 1 && left < 1) {
+      tags.push([x, y]);
       const tag = document.createElement("span");
       tag.className = "tag";
       tag.textContent = z.distance_m + " m";
       tag.style.left = Math.max(left, 0) * 100 + "%";
       tag.style.top = top * 100 + "%";
-      at("stage").append(tag);
+      stage.append(tag);
     }
   }
   at("aid").replaceChildren(...shapes);
