@@ -38,36 +38,37 @@ PositiveInt = Annotated[int, Meta(gt=0)]
 class CalibrationRecord(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The `[camera.calibration]` table: how the numbers of `[camera]` were found; for people, nothing is computed from it."""
 
-    method: Literal["plate", "chessboard", "charuco", "prior", "import"]
+    method: Literal["plate", "chessboard", "charuco", "prior", "import"]  # how
     date: str  # ISO 8601, UTC
-    camera_id: str = ""
-    width_px: PositiveInt
-    height_px: PositiveInt
+    camera_id: str = ""  # which camera it was
+    width_px: PositiveInt  # of the pictures it was made with
+    height_px: PositiveInt  # the same
     sigma: NotNegative  # relative, of the focal length
-    distances_m: list[float] = []
+    distances_m: list[float] = []  # of the captures
     residuals: list[float] = []  # (measured - stated) / stated distance; boards: rms of each view in pixels
     offset_m: float | None = None  # the tape began this far in front of the lens
-    note: str = ""
+    note: str = ""  # yours
 
 
 class CameraConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The `[camera]` table: where frames come from, and the calibration (no default for fx_px: uncalibrated)."""
 
-    kind: Literal["v4l2", "picamera2", "gstreamer", "video_file", "disabled"] = "v4l2"
+    kind: Literal["v4l2", "picamera2", "gstreamer", "video_file", "disabled"] = "v4l2"  # what gives the pictures
     device: str = "/dev/video0"  # or the file of kind "video_file", or the camera's number of kind "picamera2"
     pipeline: str = ""  # kind "gstreamer": the pipeline, ending in an appsink
     loop: bool = False  # video_file: begin again at the end
+    # what the camera is asked for; mjpg where yuyv is slow over USB
     pixel_format: Literal["auto", "mjpg", "yuyv", "grey"] = "auto"
-    width_px: PositiveInt = 1280
-    height_px: PositiveInt = 720
-    rate_hz: Positive = 30.0
+    width_px: PositiveInt = 1280  # of the pictures, and of the calibration
+    height_px: PositiveInt = 720  # the same
+    rate_hz: Positive = 30.0  # frames a second the camera is asked for
     exposure_us: NotNegative | None = None  # set: manual exposure
     gain: NotNegative | None = None  # set: manual gain, in the driver's own units
     focus: NotNegative | None = None  # set: autofocus off, in the driver's own units
-    fx_px: Positive | None = None
+    fx_px: Positive | None = None  # focal length in pixels at this size: `tmde-edge calibrate`
     fy_px: Positive | None = None  # default: fx_px
     cx_px: float | None = None  # default: the middle, (width - 1) / 2
-    cy_px: float | None = None
+    cy_px: float | None = None  # default: the middle, (height - 1) / 2
     distortion: list[float] = []  # OpenCV order k1 k2 p1 p2 [k3 ...]
     focal_sigma: NotNegative = 0.005  # relative, one sigma, of fx_px and fy_px
     prior: str | None = None  # a known camera (`tmde-edge calibrate --camera list`): stands in for fx_px at 5 % until calibrated
@@ -75,8 +76,8 @@ class CameraConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     calibration: CalibrationRecord | None = None  # written by `tmde-edge calibrate`: where fx_px comes from
     height_m: Positive | None = None  # of the lens above the road
     pitch_rad: Annotated[float, Meta(ge=-0.8, le=0.8)] = 0.0  # at calibration, nose down positive
-    roll_rad: Annotated[float, Meta(ge=-0.8, le=0.8)] = 0.0
-    yaw_rad: Annotated[float, Meta(ge=-0.8, le=0.8)] = 0.0
+    roll_rad: Annotated[float, Meta(ge=-0.8, le=0.8)] = 0.0  # clockwise positive
+    yaw_rad: Annotated[float, Meta(ge=-0.8, le=0.8)] = 0.0  # turned to the right positive
     to_bumper_m: NotNegative = 0.0  # from the lens forward to the own front bumper
 
     def camera(self) -> Camera | None:
@@ -116,16 +117,16 @@ class RecordConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     min_free_mb: Annotated[int, Meta(ge=0)] = 200  # of the disk; files of the ring go to keep it free
     frames: bool = False  # JPEG frames in the ring too (incidents always have them)
     frames_hz: Positive = 10.0  # recorded frames a second
-    jpeg_quality: Annotated[int, Meta(ge=10, le=100)] = 85
+    jpeg_quality: Annotated[int, Meta(ge=10, le=100)] = 85  # of recorded frames
     blur: bool = True  # characters of plates are made unreadable in every recorded frame
     shadow: bool = True  # while can.transmit = false: keep the evidence of what would have been said
     incidents: bool = False  # while transmitting: keep the evidence of what was said
     incident_level: Literal["caution", "warning"] = "warning"  # from this level on with evidence; all are counted
-    incident_before_s: Annotated[float, Meta(ge=0, le=60)] = 10.0
-    incident_after_s: Annotated[float, Meta(ge=0, le=60)] = 10.0
+    incident_before_s: Annotated[float, Meta(ge=0, le=60)] = 10.0  # kept before the alert
+    incident_after_s: Annotated[float, Meta(ge=0, le=60)] = 10.0  # and after it
     incidents_max_mb: PositiveInt = 1000  # of all incidents; the oldest go first
     range_device: str = ""  # serial port of a laser or lidar rangefinder, recorded as truth
-    range_baud: Annotated[int, Meta(gt=0)] = 9600
+    range_baud: Annotated[int, Meta(gt=0)] = 9600  # of that port
     range_unit: Literal["m", "cm", "mm", "ft"] = "m"  # of its numbers where the line names none
     range_field: Annotated[int, Meta(ge=0)] = 0  # which comma-separated field holds the distance; 0: the first number
 
@@ -141,7 +142,7 @@ class ViewConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
     enabled: bool = False  # in the service; `tmde-edge view` needs no switch
     host: str = "127.0.0.1"  # this machine only; "0.0.0.0": everybody on its networks who has the token
-    port: Annotated[int, Meta(ge=0, le=65535)] = 8470
+    port: Annotated[int, Meta(ge=0, le=65535)] = 8470  # 0: any that is free; the journal names it
     token: str = ""  # asked for where set, and always where host is not this machine only; "": one is made at each start
     rate_hz: Annotated[float, Meta(gt=0, le=30)] = 8.0  # pictures a second at most, and only while somebody watches
     width_px: Annotated[int, Meta(ge=160, le=1920)] = 640  # of the pictures sent; half of what the camera gives is the cheapest

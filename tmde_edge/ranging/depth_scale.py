@@ -47,7 +47,7 @@ class DepthSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     latency_s: NotNegative = 0.15  # --dry-run: a reading is ready this long after its frame
     threads: Annotated[int, Meta(ge=1)] = 1  # of the network; bounded so that depth never starves the main loop
     grid_columns: Annotated[int, Meta(ge=8, le=256)] = 64  # the network's output is kept at this size
-    grid_rows: Annotated[int, Meta(ge=6, le=256)] = 48
+    grid_rows: Annotated[int, Meta(ge=6, le=256)] = 48  # and its rows
     memory_s: Positive = 4.0  # the fit forgets with this time constant
     ground_points: bool = True  # the road below the horizon also aligns (needs camera.height_m and a known pose)
     min_sigma: Positive = 0.05  # relative, of any distance by depth

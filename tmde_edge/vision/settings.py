@@ -27,7 +27,7 @@ class DetectorSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     search_width_px: Annotated[int, Meta(ge=64, le=4096)] = 640  # full searches see the frame scaled down to this
     fovea: bool = True  # also look at the middle of the driving path at full resolution, for far plates
     fovea_width_px: Annotated[int, Meta(ge=64, le=2048)] = 384  # of that window, in source pixels
-    fovea_height_px: Annotated[int, Meta(ge=64, le=2048)] = 192
+    fovea_height_px: Annotated[int, Meta(ge=64, le=2048)] = 192  # and its height
     fovea_rate_hz: Positive = 10.0  # looks through the fovea a second, at frames between the full searches
     region_margin: Positive = 1.0  # region search: the predicted box and this many plate widths round it
     region_plate_px: Positive = 96.0  # region search scales the plate to about this width (never enlarged)
@@ -42,13 +42,13 @@ class DetectorSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     a_min_px: Positive = 400.0  # smallest bounding-box area of a contour, square pixels
     max_contours: PositiveInt = 30  # the largest this many are looked at
     min_width_px: Positive = 60.0  # smallest plate, in source pixels
-    min_height_px: Positive = 20.0
+    min_height_px: Positive = 20.0  # and its height
 
     # kind = "onnx", a detector of yours
     onnx_path: str = ""  # the file
     onnx_format: Literal["yolo", "yolo-corners", "ssd-corners", "detr"] = "yolo"  # how its outputs are read
     onnx_width_px: Annotated[int, Meta(ge=0)] = 0  # input size where the graph leaves it open; 0: 640 on the longer side
-    onnx_height_px: Annotated[int, Meta(ge=0)] = 0
+    onnx_height_px: Annotated[int, Meta(ge=0)] = 0  # and its height
     onnx_mean: list[float] = []  # of three channels, 0..255, subtracted; empty: 104 117 123 (ssd-corners), else none
     onnx_scale: Positive | None = None  # multiplies after that; none: 1 (ssd-corners), else 1/255
     onnx_rgb: bool | None = None  # channel order; none: BGR (ssd-corners), else RGB
@@ -56,7 +56,7 @@ class DetectorSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     onnx_classes: PositiveInt = 1  # how many there are (yolo-corners)
     onnx_no_object: bool = False  # detr: the last class means none (softmax); else every class has its own sigmoid
     # ssd-corners: sides of the priors at strides 8, 16, 32
-    onnx_sizes_px: tuple[tuple[float, ...], ...] = ((24.0, 48.0), (96.0, 192.0), (384.0, 768.0))
+    onnx_sizes_px: tuple[tuple[float, ...], ...] = ((24.0, 48.0), (96.0, 192.0), (384.0, 768.0))  # each row a level
 
 
 class SegmenterSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -74,7 +74,7 @@ class SegmenterSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields
 class FlowSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Lucas-Kanade tracking inside the plate and in the vehicle's rear round it."""
 
-    enabled: bool = True
+    enabled: bool = True  # false: every frame is measured by itself
     max_points: Annotated[int, Meta(ge=8, le=400)] = 40  # features in the plate, and as many in the ring round it
     window_px: Annotated[int, Meta(ge=5, le=41)] = 13  # side of the Lucas-Kanade window
     levels: Annotated[int, Meta(ge=0, le=5)] = 2  # pyramid levels above the source
