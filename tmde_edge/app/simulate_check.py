@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,17 +11,22 @@ from pathlib import Path
 import numpy as np
 
 from tmde_edge import config
+from tmde_edge.adapters.cameras.sources import SourceItem
 from tmde_edge.app.can_times import CanTimeline
 from tmde_edge.app.desk import DeskOptions, run_desk
+from tmde_edge.app.dry_run import dry_run
 from tmde_edge.app.records import Record, frame_record
 from tmde_edge.app.simulate import Made, Progress, can_frames, config_text, list_scenarios, simulate
-from tmde_edge.app.wiring import build_estimation
+from tmde_edge.app.wiring import build_estimation, build_eyes
 from tmde_edge.errors import InputMissingError
-from tmde_edge.messages import CanFrame, FrameResult, Tick
+from tmde_edge.messages import CanFrame, Frame, FrameResult, Tick
 from tmde_edge.simulation.check import check
-from tmde_edge.simulation.drive import frame_truth
+from tmde_edge.simulation.drive import frame_truth, picture
+from tmde_edge.simulation.scenario import Scenario
 from tmde_edge.simulation.scenarios import build
 from tmde_edge.simulation.sightings import sightings
+
+SETTLED_S = 0.5  # after the first warning nothing more is judged of it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,6 +61,68 @@ def check_scenarios(
             yield outcome
 
 
+def check_without_video(
+    folder: Path, *, names: Sequence[str] = (), seeds: Sequence[int] = (0,), overrides: Sequence[str] = ()
+) -> Iterator[Outcome]:
+    """The same judgement on the rendered pictures themselves, as a camera would give them: no H.264 between, half the work.
+
+    A drive in which only the warning is judged ends SETTLED_S after the first one.
+    """
+    for name in names or [name for name, _ in list_scenarios()]:
+        for seed in seeds:
+            try:
+                scenario = build(name, seed=seed)
+            except InputMissingError as error:
+                yield Outcome(name=name, seed=seed, faults=(), skipped=str(error))
+                continue
+            folder.mkdir(parents=True, exist_ok=True)
+            (folder / "config.toml").write_text(config_text(scenario), encoding="utf-8")
+            loaded = config.load(folder / "config.toml", overrides)
+            wanted = scenario.expectation
+            only_warning = wanted.warn_ttc_min_s is not None and wanted.max_relative_error is None
+            records: list[Record] = []
+            warned_s: float | None = None
+            run = dry_run(
+                RenderedFrames(scenario), build_eyes(loaded, time.perf_counter_ns), build_estimation(loaded, folder),
+                camera=loaded.camera.camera(), can=_can(scenario), tick_hz=loaded.runtime.tick_hz,
+            )  # fmt: skip
+            for step in run:
+                records.append(step.record)
+                if warned_s is None and "error" not in step.record and step.record["alert"]["level"] == "warning":
+                    warned_s = step.record["t"]
+                if only_warning and warned_s is not None and step.record["t"] >= warned_s + SETTLED_S:
+                    break
+            truth = tuple(frame_truth(scenario, frame) for frame in range(len(records)))
+            yield judge(Made(scenario=scenario, folder=folder, frame_count=len(truth), truth=truth), records)
+
+
+class RenderedFrames:
+    """A scenario's pictures as a source of frames, rendered when they are asked for."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self._scenario = scenario
+
+    @property
+    def name(self) -> str:
+        """The scenario's."""
+        return self._scenario.name
+
+    @property
+    def frame_count(self) -> int | None:
+        """All of the scenario's."""
+        return self._scenario.frame_count
+
+    def __iter__(self) -> Iterator[SourceItem]:
+        for index in range(self._scenario.frame_count):
+            yield Frame(t_ns=round(index / self._scenario.rate_hz * 1e9), index=index, image=picture(self._scenario, index))
+
+
+def _can(scenario: Scenario) -> CanTimeline:
+    """The scenario's bus on source time."""
+    frames = can_frames(scenario)
+    return CanTimeline((CanFrame(t_ns=round(t_s * 1e9), can_id=i, data=data, channel="can0") for t_s, i, data in frames), 0.0)
+
+
 def check_without_pictures(
     folder: Path, *, names: Sequence[str] = (), seeds: Sequence[int] = (0,), overrides: Sequence[str] = ()
 ) -> Iterator[Outcome]:
@@ -78,9 +146,7 @@ def sighting_records(made: Made, overrides: Sequence[str] = ()) -> Iterator[Reco
     scenario = made.scenario
     loaded = config.load(made.config, overrides)
     estimation = build_estimation(loaded, made.folder)
-    can = CanTimeline(
-        (CanFrame(t_ns=round(t_s * 1e9), can_id=i, data=data, channel="can0") for t_s, i, data in can_frames(scenario)), 0.0
-    )
+    can = _can(scenario)
     tick_ns = round(1e9 / loaded.runtime.tick_hz)
     next_tick_ns = 0
     for sighting in sightings(scenario):

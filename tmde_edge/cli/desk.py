@@ -49,7 +49,10 @@ def add_simulate(verbs: Verbs) -> None:
     sub.add_argument(
         "--no-pictures", action="store_true", help="with --check: sightings drawn from the truth; judges no perception"
     )
-    sub.add_argument("--seeds", type=int, default=1, metavar="N", help="with --check: seeds 0 to N-1")
+    sub.add_argument(
+        "--no-video", action="store_true", help="with --check: the rendered pictures themselves, no H.264 between; half the work"
+    )
+    sub.add_argument("--seeds", type=int, default=1, metavar="N", help="with --check: so many seeds, from --seed on")
 
 
 def add_replay(verbs: Verbs) -> None:
@@ -159,7 +162,7 @@ def _simulate(args: argparse.Namespace) -> int:
 def _simulate_check(args: argparse.Namespace) -> int:
     import tempfile
 
-    from tmde_edge.app.simulate_check import check_scenarios, check_without_pictures
+    from tmde_edge.app.simulate_check import check_scenarios, check_without_pictures, check_without_video
 
     if (args.scenario is None) == (not args.all):
         raise UsageError("simulate --check needs a SCENARIO or --all")
@@ -167,8 +170,8 @@ def _simulate_check(args: argparse.Namespace) -> int:
     failed = 0
     with tempfile.TemporaryDirectory(prefix="tmde-simulate-") as scratch:
         folder = args.out if args.out is not None else Path(scratch)
-        run = check_without_pictures if args.no_pictures else check_scenarios
-        for o in run(folder, names=names, seeds=range(args.seeds), overrides=args.overrides):
+        run = check_without_pictures if args.no_pictures else check_without_video if args.no_video else check_scenarios
+        for o in run(folder, names=names, seeds=range(args.seed, args.seed + args.seeds), overrides=args.overrides):
             failed += bool(o.faults)
             verdict = f"skipped: {o.skipped}" if o.skipped else "FAILED: " + "; ".join(o.faults) if o.faults else "ok"
             warned = f"first warning at TTC {o.first_warning_ttc_s:.2f} s" if o.first_warning_ttc_s is not None else "no warning"

@@ -36,5 +36,4 @@ class PoseSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     auto_calibrate: bool = True  # learn the resting pitch and yaw while driving straight
     calibrate_speed_mps: Positive = 7.0  # learn only at this speed or more ...
     calibrate_yaw_rate_radps: Positive = 0.035  # ... and turning less than this
-    state_file: str = "auto"  # where the service keeps the learnt resting pose; "auto": pose.json in its state folder under
-    # systemd, else nowhere; "": nowhere
+    state_file: str = "auto"  # of the learnt resting pose; "auto": pose.json in systemd's state folder, else none; "": none

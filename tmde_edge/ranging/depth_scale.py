@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal
 
 import numpy as np
@@ -25,12 +25,15 @@ FloatArray = NDArray[np.float64]
 Box = tuple[float, float, float, float]  # x0, y0, x1, y1 in source pixels
 
 RANGE_SIGMA = 0.03  # relative, of a plate's filtered range
-DEPTH_SIGMA = 0.05  # relative, of one region's m; networks differ more between regions than within one
+LEAST_REGION_SIGMA, MOST_REGION_SIGMA = 0.02, 0.10  # relative, of one region's m: as large as the plates say within these
 GROUND_NEAR_M, GROUND_FAR_M, GROUND_HALF_WIDTH_M = 4.0, 40.0, 1.2
 GROUND_WORTH = 6.0  # all road cells of a frame together count as so many independent points: they share the pitch
 SAME_FRAME_NS = 60_000_000  # a reading is matched to a sighting no further off than this
 BOX_MEMORY_S = 3.0  # how long the place of a hidden lead is still looked at
 DOUBTS_TO_RESET = 2
+FORGOTTEN_S = 12.0  # an older fit says nothing
+LEAST_SCALE = 0.01  # 1/m: a flat fit walks as far as one of this slope, or it would stay flat
+MISFIT = 0.25  # relative: a fit that plates contradict by so much, lastingly, is none
 CUT_CORRELATION = 0.3  # successive readings less alike than this are another scene
 
 
@@ -48,15 +51,16 @@ class DepthSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     threads: Annotated[int, Meta(ge=1)] = 1  # of the network; bounded so that depth never starves the main loop
     grid_columns: Annotated[int, Meta(ge=8, le=256)] = 64  # the network's output is kept at this size
     grid_rows: Annotated[int, Meta(ge=6, le=256)] = 48  # and its rows
-    memory_s: Positive = 4.0  # the fit forgets with this time constant
+    scale_drift: Positive = 0.08  # how far the network's scale walks in a second, relative, one sigma
+    shift_drift_per_m: Positive = 0.006  # how far its shift walks in a second, 1/m, one sigma
     ground_points: bool = True  # the road below the horizon also aligns (needs camera.height_m and a known pose)
-    min_sigma: Positive = 0.05  # relative, of any distance by depth
+    min_sigma: Positive = 0.03  # relative, of any distance by depth
     max_age_s: Positive = 1.0  # an older reading says nothing
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Alignment:
-    """1/D = (scale m/unit + shift): information form of both, as forgotten down to `t_ns`. Plain state."""
+    """1/D = (scale m/unit + shift): information form of both, as of `t_ns`. Plain state."""
 
     t_ns: int
     unit: float  # m is divided by this, so that networks of any range are alike
@@ -69,6 +73,11 @@ class Alignment:
     def solution(self) -> FloatArray:
         """(scale, shift)."""
         return np.asarray(np.linalg.solve(self.information, self.pull), dtype=np.float64)
+
+    @property
+    def region_sigma(self) -> float:
+        """Relative error of one region's m, as plates have shown it."""
+        return min(max(math.sqrt(self.residual_variance), LEAST_REGION_SIGMA), MOST_REGION_SIGMA)
 
     def inverse_m(self, m: float) -> tuple[float, float]:
         """1/D (1/m) at this m, and its sigma from scale and shift alone."""
@@ -203,8 +212,12 @@ class DepthAligner:
         size_px = reading.width_px, reading.height_px
         values = {k: region_m(grid, size_px, box) for k, box in seen.boxes.items()}
         pairs = [(values[k], d) for k, d in sorted(seen.ranges_m.items()) if k in values]
-        points = self._points(pairs, grid, seen)
         old = self._alignment
+        if old is not None:
+            age_s = (reading.t_ns - old.t_ns) * 1e-9
+            drift = self._settings.scale_drift, self._settings.shift_drift_per_m
+            self._alignment = old = walked(old, reading.t_ns, drift) if age_s <= FORGOTTEN_S else None
+        points = self._points(pairs, grid, seen, old)
         odd = self._grid is not None and _is_cut(self._grid, grid)
         if odd or (old is not None and points is not None and _contradicts(old, points)):
             self._doubts += 1
@@ -221,18 +234,21 @@ class DepthAligner:
             self._judge(values, newest)
         self._newest = newest
 
-    def _points(self, pairs: list[tuple[float, float]], grid: FloatArray, seen: _Seen) -> Points | None:
+    def _points(
+        self, pairs: list[tuple[float, float]], grid: FloatArray, seen: _Seen, fit: Alignment | None
+    ) -> Points | None:
         """Plates first, then the road; None where nothing is known."""
+        region = MOST_REGION_SIGMA if fit is None else fit.region_sigma
         plates = Points(
             m=np.array([m for m, _ in pairs]),
             inverse_m=np.array([1.0 / d for _, d in pairs]),
-            sigma=np.array([math.hypot(RANGE_SIGMA, DEPTH_SIGMA) / d for _, d in pairs]),
+            sigma=np.array([math.hypot(RANGE_SIGMA, region) / d for _, d in pairs]),
             worth=np.ones(len(pairs)),
         )
         ground = None
         if self._settings.ground_points and self._height_m is not None:
             lead_m = seen.ranges_m.get(seen.lead, seen.lead_m) if seen.lead is not None else None
-            ground = ground_points(grid, seen.camera, seen.pose, self._height_m, lead_m)
+            ground = ground_points(grid, seen.camera, seen.pose, self._height_m, lead_m, region)
         points = plates if ground is None else _joined(plates, ground)
         return points if len(points.m) else None
 
@@ -255,18 +271,16 @@ class DepthAligner:
 
     def _align(self, points: Points | None, plates: int, unit: float, t_ns: int) -> None:
         old = self._alignment
-        if old is not None and (t_ns - old.t_ns) * 1e-9 > 3.0 * self._settings.memory_s:
-            old = None
         if points is None:
-            self._alignment = old
             return
         if old is None:
             if plates == 0 and len(points.m) < 8:
                 self._alignment = None
                 return
             old = _start(points, unit, t_ns)
-        new = advanced(old, points, t_ns, self._settings.memory_s, plates)
-        self._alignment = None if _contradicts(new, points, limit=3.0) else new
+        new = advanced(old, points, plates)
+        misfit = new.residual_variance > MISFIT**2 or _contradicts(new, points, limit=3.0)
+        self._alignment = None if misfit else new
 
     def _judge(self, values: dict[int, float], newest: _Newest) -> None:
         fit = self._alignment
@@ -281,30 +295,35 @@ class DepthAligner:
                 newest.found[key] = 1.0 / inverse, relative / inverse
 
 
-def advanced(old: Alignment, points: Points, t_ns: int, memory_s: float, plates: int) -> Alignment:
-    """One recursive step: the old information fades, robustly weighted points are added (three rounds of Tukey weights).
+def walked(old: Alignment, t_ns: int, drift: tuple[float, float]) -> Alignment:
+    """The fit at a later time: scale (relative) and shift (1/m) have walked by their drift of one second, one sigma."""
+    theta = old.solution
+    added = np.diag(np.square([drift[0] * max(abs(float(theta[0])), LEAST_SCALE), drift[1]])) * max(t_ns - old.t_ns, 0) * 1e-9
+    information = np.asarray(np.linalg.inv(np.linalg.inv(old.information) + added), dtype=np.float64)
+    return replace(old, t_ns=t_ns, information=information, pull=information @ theta)
+
+
+def advanced(old: Alignment, points: Points, plates: int) -> Alignment:
+    """One recursive step at the same time: robustly weighted points are added (three rounds of Tukey weights).
 
     The first `plates` points are plates; their errors against the old fit are what the residual is made of.
     """
-    fade = math.exp(-max(t_ns - old.t_ns, 0) * 1e-9 / memory_s)
     rows = np.stack([points.m / old.unit, np.ones(len(points.m))], axis=1)
     theta: FloatArray = old.solution
     residual_variance = old.residual_variance
     if plates and old.plates:
         error = (rows[:plates] @ theta) / points.inverse_m[:plates] - 1.0
         residual_variance += 0.15 * (float(np.median(np.minimum(error**2, 0.25))) - residual_variance)
-    information: FloatArray = fade * old.information
-    pull: FloatArray = fade * old.pull
+    information, pull = old.information, old.pull
     for _ in range(3):
         error = (rows @ theta - points.inverse_m) / points.sigma
         weight = points.worth * np.clip(1.0 - (error / 4.0) ** 2, 0.0, None) ** 2 / points.sigma**2
-        information = fade * old.information + (rows * weight[:, None]).T @ rows
-        pull = fade * old.pull + (rows * weight[:, None]).T @ points.inverse_m
+        information = old.information + (rows * weight[:, None]).T @ rows
+        pull = old.pull + (rows * weight[:, None]).T @ points.inverse_m
         theta = np.asarray(np.linalg.solve(information, pull), dtype=np.float64)
-    return Alignment(
-        t_ns=t_ns, unit=old.unit, information=information, pull=pull, residual_variance=residual_variance,
-        plates=old.plates + plates,
-    )  # fmt: skip
+    return replace(
+        old, information=information, pull=pull, residual_variance=residual_variance, plates=old.plates + plates
+    )
 
 
 def _start(points: Points, unit: float, t_ns: int) -> Alignment:
@@ -350,7 +369,8 @@ def _joined(a: Points, b: Points) -> Points:
 
 
 def ground_points(
-    grid: FloatArray, camera: Camera, pose: Pose, camera_height_m: float, lead_m: float | None
+    grid: FloatArray, camera: Camera, pose: Pose, camera_height_m: float, lead_m: float | None,
+    region_sigma: float = MOST_REGION_SIGMA,
 ) -> Points | None:
     """The road cells of the own path that nothing can hide: nearer than three quarters of the lead's distance."""
     rows, columns = grid.shape
@@ -367,7 +387,7 @@ def ground_points(
     if int(good.sum()) < 6:
         return None
     inverse = 1.0 / distance_m[good]
-    sigma = np.hypot(DEPTH_SIGMA * inverse, max(pose.pitch_sigma_rad, 0.001) / camera_height_m)
+    sigma = np.hypot(region_sigma * inverse, max(pose.pitch_sigma_rad, 0.001) / camera_height_m)
     worth = np.full(len(inverse), min(1.0, GROUND_WORTH / len(inverse)))
     return Points(m=grid[r.ravel()[good], c.ravel()[good]], inverse_m=inverse, sigma=sigma, worth=worth)
 

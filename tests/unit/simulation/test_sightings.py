@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from tmde_edge.app.simulate_check import check_without_pictures
+from tmde_edge.app import simulate_check
+from tmde_edge.app.simulate_check import check_without_pictures, check_without_video
 from tmde_edge.simulation.drive import frame_truth
 from tmde_edge.simulation.scenarios import build
 from tmde_edge.simulation.sightings import Eyesight, sightings
@@ -43,3 +48,30 @@ def test_a_late_warning_is_seen_by_the_judge(tmp_path: Path) -> None:
     late = ["alerts.warning_ttc_s=1.5", "alerts.warning_decel_mps2=50.0", "runtime.threads=1"]
     (outcome,) = check_without_pictures(tmp_path, names=["nhtsa-decelerating"], seeds=[1], overrides=late)
     assert any("warning late" in f for f in outcome.faults)
+
+
+def test_rendered_pictures_are_judged_without_a_video(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    short = replace(build("parking"), duration_s=0.4)
+    monkeypatch.setattr(simulate_check, "build", lambda name, seed: short)
+    (outcome,) = check_without_video(tmp_path, names=["parking"], overrides=["runtime.threads=1"])
+    assert outcome.faults == ()
+    assert outcome.median_error is not None
+    assert outcome.median_error < 0.02
+    assert not list(tmp_path.glob("*.mp4"))
+
+
+@pytest.mark.parametrize(("name", "frames"), [("nhtsa-slower", 46), ("stopped", 189)])
+def test_a_drive_ends_after_the_warning_where_only_that_is_judged(
+    name: str, frames: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def warns_after_1_s(source: Any, *_: Any, **__: Any) -> Iterator[Any]:
+        for k in range(source.frame_count):
+            record = {"frame": k, "t": k / 30, "alert": {"level": "warning" if k >= 30 else "none", "reason": "ttc"}, "lead": None}
+            yield SimpleNamespace(record=record)
+
+    judged = []
+    monkeypatch.setattr(simulate_check, "dry_run", warns_after_1_s)
+    monkeypatch.setattr(simulate_check, "judge", lambda made, records: judged.append((made, records)))
+    list(check_without_video(tmp_path, names=[name], overrides=["runtime.threads=1"]))
+    ((made, records),) = judged
+    assert len(records) == len(made.truth) == frames
