@@ -66,7 +66,8 @@ def test_a_drive_ends_after_the_warning_where_only_that_is_judged(
 ) -> None:
     def warns_after_1_s(source: Any, *_: Any, **__: Any) -> Iterator[Any]:
         for k in range(source.frame_count):
-            record = {"frame": k, "t": k / 30, "alert": {"level": "warning" if k >= 30 else "none", "reason": "ttc"}, "lead": None}
+            level = "warning" if k >= 30 else "none"
+            record = {"frame": k, "t": k / 30, "alert": {"level": level, "reason": "ttc"}, "lead": None}
             yield SimpleNamespace(record=record)
 
     judged = []
