@@ -93,7 +93,7 @@ class WatchedCamera:
         self.fault: CameraFault | None = "camera_lost"
         self._stall_s, self._frozen_s = stall_s, frozen_s
         self._clock_s, self._pause = clock_s, pause
-        self._back_off = back_off or BackOff(0.25, 5.0)
+        self._back_off = back_off or BackOff(0.25, 2.0)
         self._is_open = False
         self._told: str | None = None
         self._frame_s = 0.0  # the last new frame came then

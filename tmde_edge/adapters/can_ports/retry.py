@@ -39,7 +39,7 @@ class LastingFault:
 class BackOff:
     """Pauses between tries: doubled up to a limit."""
 
-    def __init__(self, first_s: float = 0.25, limit_s: float = 10.0) -> None:
+    def __init__(self, first_s: float = 0.25, limit_s: float = 5.0) -> None:
         self._first_s, self._limit_s = first_s, limit_s
         self._next_s = first_s
 
