@@ -7,6 +7,7 @@ import json
 import logging
 import os
 import socket
+import struct
 import tempfile
 import threading
 from collections.abc import Callable
@@ -114,15 +115,19 @@ class StatusServer:
 def ask(path: Path, request: Json, timeout_s: float = 5.0) -> Json:
     """One question to the service. Raises InputMissingError (nobody there) or InputDataError (no sensible answer)."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
-        connection.settimeout(timeout_s)
+        # Only a blocking connect waits while the service's queue of callers is full; its limit is the one for sending.
+        connection.setsockopt(
+            socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("ll", *divmod(round(timeout_s * 1e6), 1_000_000))
+        )
         try:
             connection.connect(str(path))
+            connection.settimeout(timeout_s)
             connection.sendall(json.dumps(request).encode() + b"\n")
             with connection.makefile("rb") as lines:
                 answer = json.loads(lines.readline())
         except PermissionError:
             raise InputMissingError(f"{path}: no permission; use sudo, or join the group of the service (tmde-edge)") from None
-        except TimeoutError:
+        except (TimeoutError, BlockingIOError):
             raise InputDataError(f"{path}: the service did not answer within {timeout_s:g} s") from None
         except OSError as error:
             why = f"{path}: no service answers there ({error.strerror or error})"
