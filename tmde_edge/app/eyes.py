@@ -15,6 +15,7 @@ from tmde_edge.pose.settings import PoseSettings
 from tmde_edge.pose.tilt import TiltMeter
 from tmde_edge.vision.perception import BETWEEN, EARLY_NS, Perception
 
+COURSE_PERIOD_NS = 200_000_000  # a lane's course is followed no oftener: what was seen is carried along for half a second
 Horizon = Callable[[Image, "Point | None"], "LaneSighting | None"]  # a picture and where its horizon is expected
 
 
@@ -42,6 +43,7 @@ class Eyes:
         self._clock_ns = clock_ns
         self._focal_px = focal_px
         self._looked_ns: int | None = None
+        self._course_ns: int | None = None
         self._last_ns: int | None = None
 
     def see(self, frame: Frame) -> Sighting:
@@ -60,7 +62,8 @@ class Eyes:
             if lanes is None and self._horizon is not None and _due(self._asked_ns, frame.t_ns, self._horizon_period_ns):
                 self._asked_ns = frame.t_ns
                 lanes = self._horizon(frame.image, prior)
-            if lanes is not None and self._focal_px is not None:
+            if lanes is not None and self._focal_px is not None and _due(self._course_ns, frame.t_ns, COURSE_PERIOD_NS):
+                self._course_ns = frame.t_ns
                 focal_px = self._focal_px(frame.image.shape[1], frame.image.shape[0])
                 lanes = replace(lanes, course_px=find_course(frame.image, lanes.vanishing_px, focal_px))
         took_ms = (self._clock_ns() - start_ns) * 1e-6

@@ -51,7 +51,8 @@ def edges_towards(grey: Image, prior: FloatArray, reach_px: float) -> FloatArray
     # The line through (x, y) across its gradient misses the prior by |g . (p - prior)| / |g|; twice the reach sideways.
     xs, ys = np.asarray(places).reshape(-1, 2).T.astype(np.int64)
     ys += first
-    gx, gy = dx[ys, xs].astype(np.float32), dy[ys, xs].astype(np.float32)
+    at = ys * grey.shape[1] + xs
+    gx, gy = dx.ravel()[at].astype(np.float32), dy.ravel()[at].astype(np.float32)
     px, py = (xs - prior[0]).astype(np.float32), (ys - prior[1]).astype(np.float32)
     allowed = reach_px * (np.abs(gy) + 2.0 * np.abs(gx)) + 0.12 * np.sqrt((gx * gx + gy * gy) * (px * px + py * py))
     right = np.abs(gx * px + gy * py) <= allowed

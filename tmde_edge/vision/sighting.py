@@ -72,7 +72,7 @@ def spacing(characters: tuple[CharacterBox, ...]) -> float | None:
 
 def is_blind(image: Image, contrast_min: float) -> bool:
     """Whether the image shows nothing: black, saturated or nearly constant (2 % to 98 % of a coarse grid of its pixels)."""
-    coarse = image[:: max(1, image.shape[0] // 60), :: max(1, image.shape[1] // 100)]
+    coarse = image[:: max(1, image.shape[0] // 45), :: max(1, image.shape[1] // 80)]
     if coarse.ndim == 3:  # the brightest channel; numpy's own maximum over so short an axis is slow
         coarse = np.maximum.reduce([coarse[..., i] for i in range(coarse.shape[2])])
     grey = np.sort(coarse, axis=None)
