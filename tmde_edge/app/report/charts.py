@@ -82,7 +82,7 @@ def ttc(s: Series, alerts: AlertSettings, width: int) -> str:
     plot = Plot(_times(s), (0.0, TTC_TOP_S), width=width, x_label="time, s", y_label="TTC, s", kind="time")
     _alerts(plot, s)
     plot.across(alerts.caution_ttc_s, "limit caution", f"caution {alerts.caution_ttc_s:g} s")
-    plot.across(alerts.warning_ttc_s, "limit warning", f"warning {alerts.warning_ttc_s:g} s")
+    plot.across(alerts.warning_ttc_s, "limit warning", f"warning {alerts.warning_ttc_s:g} s", below=True)
     plot.line(t, np.where(value > TTC_TOP_S, np.nan, value), "line main", f"TTC (above {TTC_TOP_S:g} s not drawn)")
     plot.line(t, np.where(s["headway_s"] > TTC_TOP_S, np.nan, s["headway_s"]), "line second", "headway")
     return plot.text("Time to collision over time, with the alert thresholds")
@@ -225,7 +225,8 @@ def where(s: Series, size_px: tuple[int, int], width: int) -> str:
 def predicted_against_true(c: TruthComparison, width: int) -> str:
     """Measured distance against the true one, all frames."""
     true = c.column("true")
-    top = float(np.nanmax(np.concatenate([true, c.column("lead")]))) * 1.05
+    measured = np.isfinite(c.column("lead"))  # what was never measured would only make room
+    top = float(np.nanmax(np.concatenate([true[measured], c.column("lead")[measured], [1.0]]))) * 1.05
     plot = Plot(
         (0.0, top),
         (0.0, top),

@@ -123,14 +123,15 @@ class Plot:
             f'<rect class="{style}" x="{left:.1f}" y="{top:.1f}" width="{max(right - left, 1):.1f}" height="{bottom - top:.1f}"/>'
         )
 
-    def across(self, y: float, style: str, label: str = "") -> None:
-        """A horizontal line over the whole width, labelled at its right end."""
+    def across(self, y: float, style: str, label: str = "", *, below: bool = False) -> None:
+        """A horizontal line over the whole width, labelled at its right end above or below it."""
         if self.y0 <= y <= self.y1:
             at = self._py(y)
             self._body.append(f'<line class="{style}" x1="{self.left}" x2="{self.right}" y1="{at:.1f}" y2="{at:.1f}"/>')
             if label:
+                base = at + (13 if below else -4)
                 self._body.append(
-                    f'<text class="note" x="{self.right - 4}" y="{at - 4:.1f}" text-anchor="end">{escape(label)}</text>'
+                    f'<text class="note" x="{self.right - 4}" y="{base:.1f}" text-anchor="end">{escape(label)}</text>'
                 )
 
     def segment(self, a: tuple[float, float], b: tuple[float, float], style: str) -> None:

@@ -107,10 +107,14 @@ function chart(id, label, column, sigma, lines, top) {
   const values = points.map((p) => p[column]).filter((v) => v !== null && v !== undefined);
   const high = top || Math.max(5, ...values) * 1.1;
   const x = (t) => right - (end - t) / span * (right - left), y = (v) => down - Math.min(Math.max(v, 0), high) / high * (down - up);
-  for (let k = 0; k + 1 < points.length; k++) {
-    if (!points[k][5]) continue;
-    c.fillStyle = points[k][5] === 2 ? "#d83a3a44" : "#e09a1a44";
-    c.fillRect(x(points[k][0]), up, x(points[k + 1][0]) - x(points[k][0]) + 0.5, down - up);
+  for (let k = 0, first = 0; k < points.length; k++) {  // one box a stretch of the same level: boxes side by side would show seams
+    const level = points[first][5], last = k + 1 === points.length;
+    if (!last && points[k + 1][5] === level) continue;
+    const from = x(points[first][0]), to = x(points[last ? k : k + 1][0]);
+    first = k + 1;
+    if (!level) continue;
+    c.fillStyle = level === 2 ? "#d83a3a44" : "#e09a1a44";
+    c.fillRect(from, up, Math.max(to - from, 1), down - up);
   }
   c.strokeStyle = "#34404d"; c.fillStyle = "#9aa7b5"; c.lineWidth = 1; c.textAlign = "right";
   const step = [0.5, 1, 2, 5, 10, 20, 50, 100].find((s) => high / s <= 4) || 200;
