@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import importlib.util
 import multiprocessing
 import os
 import tempfile
@@ -219,15 +220,22 @@ def _drive_log(item: Item, config: Candidate) -> list[Row]:
     return rows
 
 
+def check_out(path: Path) -> None:
+    """What would keep `write_rows` from writing, said before the work is done. Raises UsageError."""
+    if path.suffix == ".parquet" and importlib.util.find_spec("pyarrow") is None:
+        raise UsageError(f"{path}: Parquet needs pyarrow (pip install pyarrow), or name a .csv file")
+    if not path.parent.is_dir():
+        raise UsageError(f"{path}: cannot be written, there is no folder {path.parent}")
+
+
 def write_rows(path: Path, rows: Sequence[Row]) -> None:
     """CSV, or Parquet where the name ends in .parquet. Raises UsageError (cannot be written, pyarrow is missing)."""
+    check_out(path)
     try:
         if path.suffix == ".parquet":
-            try:
-                import pyarrow
-                import pyarrow.parquet
-            except ImportError:
-                raise UsageError(f"{path}: Parquet needs pyarrow (pip install pyarrow), or name a .csv file") from None
+            import pyarrow
+            import pyarrow.parquet
+
             columns = {c: [r.get(c) for r in rows] for c in COLUMNS}
             pyarrow.parquet.write_table(pyarrow.table(columns), str(path))
             return

@@ -35,6 +35,8 @@ def _evaluate(args: argparse.Namespace) -> int:
 
     if args.jobs is not None and args.jobs < 1:
         raise UsageError(f"--jobs {args.jobs}: at least 1")
+    if args.out is not None:
+        ev.check_out(args.out)
     configs = ev.candidates([*([args.config] if args.config is not None else []), *args.config_files], args.overrides)
     items = ev.find_items(args.sources)
     rows: list[dict[str, Any]] = []

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import csv
+import importlib.util
 import json
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -84,12 +84,15 @@ def test_wrong_usage_and_missing_things(stills: Path, tmp_path: Path) -> None:
         ev.write_rows(tmp_path / "no" / "rows.csv", [])
 
 
-def test_parquet_where_pyarrow_is_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_parquet_where_pyarrow_is_there(stills: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     rows = [{"config": "a", "recording": "r", "frame": 1, "found": 1.0}, {"config": "a", "recording": "r", "frame": 2}]
     with monkeypatch.context() as m:
-        m.setitem(sys.modules, "pyarrow", None)
+        m.setattr(importlib.util, "find_spec", lambda name: None)
         with pytest.raises(UsageError, match="needs pyarrow"):
             ev.write_rows(tmp_path / "rows.parquet", rows)
+        m.setattr(ev, "evaluate", lambda *_: pytest.fail("the work was begun"))
+        assert main(["evaluate", str(stills), "--out", str(tmp_path / "rows.parquet"), "-q"]) == 2
+        assert main(["evaluate", str(stills), "--out", str(tmp_path / "no" / "rows.csv"), "-q"]) == 2
     parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")
     ev.write_rows(tmp_path / "rows.parquet", rows)
     assert parquet.read_table(tmp_path / "rows.parquet").column("found").to_pylist() == [1.0, None]
