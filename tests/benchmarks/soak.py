@@ -187,6 +187,9 @@ def soak(folder: Path, drive: Path, minutes: float, more: list[str]) -> dict[str
         "memory_after_first_minute_mb": round(mean(after_one), 1), "memory_end_mb": round(mean(end), 1),
         "growth_mb": round(mean(end) - mean(after_one), 2),
         "memory_max_mb": round(max(m for _, m in memory), 1),
+        "memory_each_5_min_mb": [
+            round(mean(m for t, m in memory if t // 300 == i), 1) for i in sorted({t // 300 for t, _ in memory})
+        ],
         "decided": frames["decided"], "skipped": frames["skipped"], "lost": camera["lost"], "shed": frames["shed"],
         "dropped": round(dropped / max(dropped + frames["decided"], 1), 5), "rate_hz": frames["rate_hz"],
         "latency_p50_ms": frames["latency_p50_ms"], "latency_p99_ms": frames["latency_p99_ms"],
