@@ -67,6 +67,7 @@ class PlateSighting:
     light_on_dark: bool = False
     cut: bool = False  # a side lies outside the frame
     blur_px: float | None = None  # estimated edge blur (one sigma)
+    side_sigma_px: tuple[float, ...] = ()  # of the top, right, bottom and left line; empty: all as corners_sigma_px
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

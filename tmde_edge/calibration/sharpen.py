@@ -57,7 +57,7 @@ def sharpened(image: Image, plate: PlateSighting) -> PlateSighting:
     sigma = float(np.hypot(LEAST_SIGMA_PX, np.sqrt(np.mean([line[2] ** 2 for line in lines if line is not None]))))
     tl, tr, br, bl = ((float(c[0]), float(c[1])) if c is not None else MISSING for c in corners)
     found: Corners = (tl, tr, br, bl)
-    return replace(plate, corners_px=found, corners_sigma_px=sigma, refined=True, blur_px=fit.blur_px)
+    return replace(plate, corners_px=found, corners_sigma_px=sigma, side_sigma_px=(), refined=True, blur_px=fit.blur_px)
 
 
 def _outermost(

@@ -111,7 +111,7 @@ def plate_width(features: Features, standard: PlateStandard, settings: RangingSe
     outline = standard.outline_belief()
     rough = 0.0 if features.refined else settings.unrefined_width_sigma
     seen = (settings.outline_sigma_mm, settings.outline_bias_px, rough)
-    return _side("plate_width", features, features.width, outline[0] if outline else None, seen)
+    return _side("plate_width", features.width_sigma, features, features.width, outline[0] if outline else None, seen)
 
 
 def plate_height(features: Features, standard: PlateStandard, settings: RangingSettings) -> Cue | None:
@@ -119,16 +119,16 @@ def plate_height(features: Features, standard: PlateStandard, settings: RangingS
     outline = standard.outline_belief()
     rough = 0.0 if features.refined else settings.unrefined_height_sigma
     seen = (settings.outline_sigma_tb_mm, settings.outline_bias_px, rough)
-    return _side("plate_height", features, features.height, outline[1] if outline else None, seen)
+    return _side("plate_height", features.height_sigma, features, features.height, outline[1] if outline else None, seen)
 
 
-def _side(name: str, features: Features, length: float | None, belief: tuple[float, float] | None,
+def _side(name: str, sigma: float, features: Features, length: float | None, belief: tuple[float, float] | None,
           seen: tuple[float, float, float]) -> Cue | None:
     """seen: where an edge is seen, mm and px (one sigma each), and the relative sigma of the length besides."""
     if length is None or belief is None or length <= 0:
         return None
     edge_mm, edge_px, rough = seen
-    noise = float(np.hypot(features.corner_sigma, 2**0.5 * edge_px / features.focal_px))
+    noise = float(np.hypot(sigma, 2**0.5 * edge_px / features.focal_px))
     size_sigma = float(np.sqrt(belief[1] ** 2 + 2 * edge_mm**2 + (rough * belief[0]) ** 2))
     return Cue(name, length, noise, belief[0] / 1000, size_sigma / 1000)
 

@@ -33,6 +33,7 @@ class Features:
     corners: Floats
     corner_ok: Bools
     corner_sigma: float
+    side_sigma: Floats  # (4,) of the top, right, bottom and left line
     refined: bool
     centre: Floats  # (2,) of the plate
     top: Floats
@@ -53,6 +54,22 @@ class Features:
     def heights(self) -> Floats:
         """Top to bottom of every glyph (n,), normalised."""
         return np.asarray(np.sqrt(np.sum((self.bottom - self.top) ** 2, axis=1)), dtype=np.float64)
+
+    @property
+    def corners_sigma(self) -> Floats:
+        """(4, 2) sigmas of x and y of TL, TR, BR, BL: each corner is where two sides meet."""
+        top, right, bottom, left = self.side_sigma
+        return np.array([[left, top], [right, top], [right, bottom], [left, bottom]])
+
+    @property
+    def width_sigma(self) -> float:
+        """One sigma of a side edge's place, from the left and the right line."""
+        return float(np.hypot(self.side_sigma[1], self.side_sigma[3]) / 2**0.5)
+
+    @property
+    def height_sigma(self) -> float:
+        """One sigma of the upper or lower edge's place."""
+        return float(np.hypot(self.side_sigma[0], self.side_sigma[2]) / 2**0.5)
 
     @property
     def width(self) -> float | None:
@@ -102,8 +119,10 @@ def gather(plate: PlateSighting, camera: Camera, view_from_vehicle: Floats) -> F
     centre = _crossing(corners) if corner_ok.all() else _middle(corners[corner_ok], edges)
     sigma_tb = np.array([max(g.sigma_tb_px, 0.02) / focal for g in glyphs])
     doubt = _doubt(edges, sigma_tb)
+    sides = plate.side_sigma_px if len(plate.side_sigma_px) == 4 else (plate.corners_sigma_px,) * 4
     return Features(
-        focal_px=focal, corners=corners, corner_ok=corner_ok, corner_sigma=max(plate.corners_sigma_px, 0.02) / focal,
+        focal_px=focal, side_sigma=np.maximum(sides, 0.02) / focal,
+        corners=corners, corner_ok=corner_ok, corner_sigma=max(plate.corners_sigma_px, 0.02) / focal,
         refined=plate.refined, centre=centre, top=edges[:, 0], bottom=edges[:, 1], left=edges[:, 2], right=edges[:, 3],
         sigma_tb=sigma_tb * doubt, doubt=doubt,
         sigma_lr=np.array([max(g.sigma_lr_px, 0.02) / focal for g in glyphs]),

@@ -120,6 +120,7 @@ class _Problem:
     def __init__(self, features: Features, model: Model) -> None:
         self.f, self.m = features, model
         self.corner = np.flatnonzero(features.corner_ok)
+        self.corners_sigma = features.corners_sigma[self.corner]
         self.glyph = np.flatnonzero(model.glyph_class >= 0)
         self.k = len(model.class_height_m)
         self.classes = model.glyph_class[self.glyph]
@@ -151,7 +152,7 @@ class _Problem:
         spans[:, 0] = right * (self.m.width_m * size[:, k + 1 : k + 2] / distance)
         spans[:, 1] = down * (self.m.height_m * size[:, k + 2 : k + 3] / distance)
         points = _SIGNS[self.corner] @ spans + centre[:, None, :]
-        corners = (points[:, :, :2] / points[:, :, 2:] - self.f.corners[self.corner]) / self.f.corner_sigma
+        corners = (points[:, :, :2] / points[:, :, 2:] - self.f.corners[self.corner]) / self.corners_sigma
         # Depth of the plane along a glyph's ray, then the image of one metre of its height across its row's direction.
         lift = np.sum(away * centre, axis=1, keepdims=True) * distance
         mx, my = self.middle[:, 0], self.middle[:, 1]

@@ -100,10 +100,11 @@ def size_bias(expected: Expectation, features: Features, settings: RangingSettin
     typical = float(np.median(features.heights)) if len(features.heights) else 0.05
     out[:k] = (features.glyph_bias(settings.glyph_bias_px, settings.min_char_height_px) / typical) ** 2
     # Corners come from fitted edges: part of their error is common to both ends of an edge.
-    edge_px = float(np.hypot(settings.outline_bias_px, 0.5 * features.corner_sigma * features.focal_px))
     rough = (0.0, 0.0) if features.refined else (settings.unrefined_width_sigma, settings.unrefined_height_sigma)
-    for place, side, more in ((k, features.width, rough[0]), (k + 1, features.height, rough[1])):
+    outline = ((k, features.width, features.width_sigma, rough[0]), (k + 1, features.height, features.height_sigma, rough[1]))
+    for place, side, sigma, more in outline:
         if side is not None:
+            edge_px = float(np.hypot(settings.outline_bias_px, 0.5 * sigma * features.focal_px))
             out[place] = (2**0.5 * edge_px / (side * features.focal_px)) ** 2 + more**2
     return np.minimum(out, 0.25)
 

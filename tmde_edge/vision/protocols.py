@@ -52,6 +52,7 @@ class PlateReading:
     stroke_px: float | None = None
     border_px: float | None = None
     blur_px: float | None = None
+    side_sigma_px: tuple[float, ...] = ()  # of the top, right, bottom and left line, where they are known one by one
 
 
 class PlateFinder(Protocol):

@@ -10,7 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tmde_edge.vision.edge_model import fit_edges
+from tmde_edge.vision.bands import with_bands
+from tmde_edge.vision.edge_model import EdgeFit, fit_edges
 from tmde_edge.vision.protocols import Image
 from tmde_edge.vision.rectify import bounds, is_convex, size_px, to_grey
 
@@ -27,6 +28,18 @@ STEP_SHARE = 0.14  # of the profile's whole contrast: smaller steps are noise
 BORDER_OF_HEIGHT = 0.08  # border line and margin, in plate heights
 GIVEN_OF_HEIGHT = 0.06  # one sigma of the given outline, in plate heights
 PIECES = 10  # a side is measured in this many pieces
+SAME_STEP_PX = 0.5
+HOPELESS = 0.1  # of the most credible step's weight
+SAMPLES = 32  # of a profile on either side of the given outline
+GOOD_MISFIT = 1.5
+NARROW_GROUND_PX = 2.5  # between lettering and edge: narrower, blur keeps it from its level
+MISFIT_COST, LEAST_MISFIT = 6.0, 0.2  # of one step against another: so much for each factor e of the misfit
+BAND_LINE_COST = 3.0  # of a border line beyond a blue band: few have one
+VALLEY_REACH = 0.06  # of the plate's height: a step with a rise behind that may still be the plate's edge
+LEFT_OUT_COST = 6.0  # of a step that explains only what lies before the next rise
+LOW_SIGMA_PX, LOW_HEIGHT_PX = 0.2, 10.0  # of a low plate's edges, which blur joins to lettering and border
+MOVED_SIGMAS = 4.0  # a side further than this from the given outline is another edge
+LEAST_SIDES = 3
 FLOOR_PX = 0.05  # of one side's sigma: sampling and lens, which no residual shows
 
 
@@ -51,6 +64,30 @@ class _Side:
     blur_px: float
 
 
+@dataclass(frozen=True, slots=True)
+class _Look:
+    """A side's direction, as the difference of the outward offset between its ends, and the offsets of the steps there."""
+
+    tilt_px: float
+    offsets_px: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Tried:
+    """A step of side i that may be the plate's edge: its line, mean profile, place, where its ground begins and its body ends."""
+
+    i: int
+    side: _Side
+    profile: Array
+    start_px: float
+    inner_px: float
+    outer_px: float
+    text_px: float  # where lettering next to it ends; NaN without
+    valley_px: float | None  # up to where it falls, where the profile rises again behind
+    band: bool = False  # beside a blue band
+    to_valley: bool = False  # what lies beyond the valley is left out: only a plain step is credible
+
+
 def refine_outline(
     image: Image, corners_px: Array, given_sigma_px: float | None = None, light_on_dark: bool | None = None
 ) -> OutlineFit:
@@ -58,8 +95,9 @@ def refine_outline(
 
     light_on_dark: the plate's polarity where it is known.
 
-    `refined` is False when a side shows no edge or leaves the image: that side then stays where it was, with a sigma of
-    a quarter of the search reach.
+    A side that shows no edge or leaves the image stays where it was, with the given sigma (a quarter of the search reach where
+    none is given), and so does one whose edge is less sure than that or far away. `refined` is False when a side stayed; of a
+    given sigma, when two did. A blue band that was left out is taken in (bands.py).
     """
     if not is_convex(corners_px):
         return OutlineFit(corners_px=corners_px, sigma_px=MIN_REACH_PX, refined=False, blur_px=None)
@@ -69,12 +107,21 @@ def refine_outline(
         reach = min(reach, BORDER_OF_HEIGHT * height_px + 4 * given_sigma_px)
         tilt_px = min(tilt_px, max(1.0, 4 * given_sigma_px))
     reach = max(MIN_REACH_PX, reach)
-    patch, shift = _patch(image, corners_px, 1.5 * reach + 4)
-    if _dark_ground(patch, corners_px - shift) if light_on_dark is None else light_on_dark:
-        patch = 255.0 - patch
-    sides = _fit_sides(
-        patch, corners_px - shift, reach, tilt_px, height_px, given_sigma_px or GIVEN_OF_HEIGHT * height_px
-    )
+    banded = with_bands(image, corners_px, max(1.0, 2 * (given_sigma_px or 0.0))) if not light_on_dark else None
+    if banded is not None:
+        corners_px = banded.corners_px
+    margin = 1.5 * reach + 4
+    patch, shift = _patch(image, corners_px, margin)
+    dark = _dark_ground(patch, corners_px - shift) if light_on_dark is None else light_on_dark
+    patches = [255.0 - patch if dark else patch] * 4
+    if banded is not None and not dark and (banded.right or banded.left):  # in blue a band is nearly as bright as the ground
+        blue = _patch(image[..., 0], corners_px, margin)[0]
+        patches = [patch, blue if banded.right else patch, patch, blue if banded.left else patch]
+    sides = _fit_sides(patches, corners_px - shift, reach, tilt_px, height_px, given_sigma_px or GIVEN_OF_HEIGHT * height_px)
+    unmoved = reach / 4
+    if given_sigma_px is not None:
+        unmoved = given_sigma_px
+        sides = [s if s is not None and _believed(s, given_sigma_px) else None for s in sides]
     lines = []
     for i, side in enumerate(sides):
         a, b = corners_px[i], corners_px[(i + 1) % 4]
@@ -82,17 +129,22 @@ def refine_outline(
         lines.append((a, b) if side is None else (a + side.at_start_px * n, b + side.at_end_px * n))
     found = [s for s in sides if s is not None]
     corners = np.array([_intersection(lines[i - 1], lines[i]) for i in range(4)])
-    unmoved = reach / 4
     if not found or not is_convex(corners) or np.abs(corners - corners_px).max() > 3 * reach:
         return OutlineFit(corners_px=corners_px, sigma_px=unmoved, refined=False, blur_px=None)
     variances = [unmoved**2 if s is None else s.sigma_px**2 for s in sides]
     return OutlineFit(
         corners_px=corners,
         sigma_px=float(np.sqrt(np.mean(variances))),
-        refined=len(found) == 4,
+        refined=len(found) >= (4 if given_sigma_px is None else LEAST_SIDES),
         blur_px=float(np.median([s.blur_px for s in found])),
         side_sigma_px=tuple(float(v**0.5) for v in variances),
     )
+
+
+def _believed(side: _Side, given_sigma_px: float) -> bool:
+    """Whether a side's edge is surer than what was given, and not another thing far away from it."""
+    moved = max(abs(side.at_start_px), abs(side.at_end_px))
+    return side.sigma_px <= given_sigma_px and moved <= MOVED_SIGMAS * given_sigma_px
 
 
 def _dark_ground(patch: NDArray[np.float32], corners_px: Array) -> bool:
@@ -171,68 +223,181 @@ def _kernel(step_px: float, smooth_px: float) -> Array:
 
 
 def _fit_sides(
-    patch: NDArray[np.float32], corners_px: Array, reach: float, tilt_px: float, height_px: float, given_sigma_px: float
+    patches: list[NDArray[np.float32]], corners_px: Array, reach: float, tilt_px: float, height_px: float,
+    given_sigma_px: float,
 ) -> list[_Side | None]:
-    """The plate's edge near each side: direction, the first step's pieces, then the edge model; None where none shows."""
-    step = max(STEP_PX, reach / 48)
+    """The plate's edge near each side: direction, a step's pieces, then the edge model; None where none shows.
+
+    patches: the picture for each side. Where the step next to the given outline is not explained well (lettering near the
+    edge, a band, a recess), the other steps are fitted too.
+    """
+    step = max(STEP_PX, reach / SAMPLES)
     across = np.asarray(np.arange(np.floor(-1.3 * reach / step), np.ceil(1.3 * reach / step) + 1) * step, np.float64)
-    inner: list[_Side | None] = []
-    profiles, starts = [], []
-    for i in range(4):
-        a, b = corners_px[i], corners_px[(i + 1) % 4]
-        found = _first_step(patch, a, b, reach, tilt_px, across)
-        inner.append(None if found is None else found[0])
-        if found is not None:
-            profiles.append(found[1])
-            starts.append((found[0].at_start_px + found[0].at_end_px) / 2)
-    if not profiles:
-        return inner
-    ink = _ink_level(patch, corners_px)
-    fits = fit_edges(np.array(profiles), across, np.array(starts), height_px, ink, given_sigma_px)
-    sides: list[_Side | None] = []
-    for side in inner:
-        if side is None:
-            sides.append(None)
+    levels = {id(p): _levels(p, corners_px) for p in patches}
+    inks, grounds = np.array([levels[id(p)] for p in patches]).T
+    grounds = np.where([p is patches[0] for p in patches], grounds, np.nan)  # a band's level is its own
+    looks = [
+        _look(patches[i], corners_px[i], corners_px[(i + 1) % 4], reach, tilt_px, across, given_sigma_px) for i in range(4)
+    ]
+    here: list[list[tuple[_Tried, EdgeFit]]] = [[] for _ in range(4)]
+    for more in (False, True):
+        tried: list[_Tried] = []
+        for i, look in enumerate(looks):
+            if look is None or (more and any(_good(f, given_sigma_px) for _, f in here[i])):
+                continue
+            offsets = look.offsets_px[1:] if more else look.offsets_px[:1]
+            before = [t for t, _ in here[i]]
+            tried += _steps(patches[i], i, corners_px[i], corners_px[(i + 1) % 4], look, offsets, across, height_px, before,
+                           bool(np.isnan(grounds[i])))
+            if more:
+                tried += [_to_valley(t, across) for t in dict.fromkeys(before) if t.valley_px is not None]
+        if not tried:
             continue
-        start = starts.pop(0)
-        without, with_border = fits.pop(0)
-        best, other = sorted((without, with_border), key=lambda f: f.misfit)
-        # how much better one model must explain the profile before the other is not believed at all
-        belief = 1 / (1 + np.exp(-min(30.0, 2 * (other.misfit / best.misfit - 1))))
-        doubt = abs(best.x_px - other.x_px) * np.sqrt(belief * (1 - belief))
-        shift = best.x_px - start
-        sides.append(
-            replace(
-                side, at_start_px=side.at_start_px + shift, at_end_px=side.at_end_px + shift, blur_px=best.spread_px,
-                sigma_px=float(np.sqrt(side.sigma_px**2 + best.sigma_px**2 + doubt**2)),
-            )
-        )  # fmt: skip
-    return sides
+        which = [t.i for t in tried]
+        fits = fit_edges(
+            np.array([t.profile for t in tried]), across, np.array([t.start_px for t in tried]), height_px, inks[which],
+            given_sigma_px, np.array([(t.inner_px, t.outer_px) for t in tried]), grounds[which],
+            np.array([t.text_px for t in tried]),
+        )
+        for t, both in zip(tried, fits, strict=True):
+            here[t.i] += [(t, fit) for fit in (both[:1] if t.to_valley else both)]
+    low_px = LOW_SIGMA_PX * (LOW_HEIGHT_PX / height_px) ** 2
+    return [_chosen(found, given_sigma_px, low_px) if found else None for found in here]
 
 
-def _first_step(
-    patch: NDArray[np.float32], a: Array, b: Array, reach: float, tilt_px: float, across: Array
-) -> tuple[_Side, Array] | None:
-    """The first edge outward from the ground as a line, and the mean profile along it; None where there is none."""
-    length = float(np.hypot(*(b - a)))
-    guess = _direction(patch, a, b, reach, tilt_px)
+def _good(fit: EdgeFit, given_sigma_px: float) -> bool:
+    """Whether an edge is explained so well that no other one needs a look."""
+    return fit.misfit < GOOD_MISFIT and abs(fit.line_off) < 1.5 and abs(fit.x_px) < 2 * given_sigma_px
+
+
+def _chosen(tried: list[tuple[_Tried, EdgeFit]], given_sigma_px: float, low_px: float) -> _Side:
+    """The most credible of a side's fits; what the others say about the place is part of its sigma."""
+    misfit = np.array([MISFIT_COST * np.log(max(f.misfit, LEAST_MISFIT)) for _, f in tried])
+    blind = np.array([LEFT_OUT_COST * t.to_valley for t, _ in tried])
+    line = np.array([0.5 * f.line_off**2 + (BAND_LINE_COST if t.band and f.thickness_px > 0.1 else 0.0) for t, f in tried])
+    cost = misfit + blind + line + np.array([(f.x_px / given_sigma_px) ** 2 for _, f in tried])
+    k = int(cost.argmin())
+    weight = np.exp(-0.5 * np.minimum(cost - cost[k], 60.0))
+    weight /= weight.sum()
+    place = np.array([f.x_px for _, f in tried])
+    doubt = float(np.sqrt(weight @ (place - place[k]) ** 2))
+    t, best = tried[k]
+    shift = best.x_px - t.start_px
+    return replace(
+        t.side, at_start_px=t.side.at_start_px + shift, at_end_px=t.side.at_end_px + shift, blur_px=best.spread_px,
+        sigma_px=float(np.sqrt(t.side.sigma_px**2 + best.sigma_px**2 + doubt**2 + low_px**2)),
+    )
+
+
+def _look(
+    patch: NDArray[np.float32], a: Array, b: Array, reach: float, tilt_px: float, across: Array, given_sigma_px: float
+) -> _Look | None:
+    """A side's direction and the steps down across it, the most credible one first; None where there is none."""
+    guess = _direction(patch, a, b, reach, tilt_px, max(0.7, 2 * given_sigma_px))
     if guess is None:
         return None
-    rows = int(np.clip(length, 24, 72))
-    _, grey = _profiles(patch, a, b, rows, across, (0.0, guess[1]))
+    _, grey = _profiles(patch, a, b, _rows(a, b), across, (0.0, guess[1]))
     if not len(grey):  # the turned side leaves the image
         return None
-    offset = first_step(_middle(grey), across)
-    if offset is None:
-        return None
+    profile = _middle(grey)
+    offsets = near_steps(profile, across, given_sigma_px)
+    first = first_step(profile, across)
+    if first is not None and all(abs(first - o) >= SAME_STEP_PX for o in offsets):
+        offsets.append(first)
+    return _Look(guess[1], tuple(offsets)) if offsets else None
+
+
+def _rows(a: Array, b: Array) -> int:
+    return int(np.clip(np.hypot(*(b - a)), 24, 72))
+
+
+def _steps(
+    patch: NDArray[np.float32], i: int, a: Array, b: Array, look: _Look, offsets_px: tuple[float, ...], across: Array,
+    height_px: float, before: list[_Tried], band: bool,
+) -> list[_Tried]:
+    """Steps of one side as lines with their mean profiles; those that turn out to be one already tried are left out."""
+    found: list[_Tried] = []
     fine = np.asarray(np.arange(-16, 17) * STEP_PX, np.float64)
-    line = (offset, guess[1])
-    along, grey = _profiles(patch, a, b, int(np.clip(length, 4 * PIECES, 120)), fine, line)
-    side = _measure(along, fine, _derivative(grey, STEP_PX, SMOOTH_PX), line)
-    if side is None:
-        return None
-    _, grey = _profiles(patch, a, b, rows, across, (0.0, side.at_end_px - side.at_start_px))
-    return (side, _middle(grey)) if len(grey) else None
+    for offset in offsets_px:
+        line = (offset, look.tilt_px)
+        along, grey = _profiles(patch, a, b, int(np.clip(np.hypot(*(b - a)), 4 * PIECES, 120)), fine, line)
+        side = _measure(along, fine, _derivative(grey, STEP_PX, SMOOTH_PX), line)
+        if side is None:
+            continue
+        start = (side.at_start_px + side.at_end_px) / 2
+        if any(abs(start - t.start_px) < SAME_STEP_PX for t in before + found):
+            continue
+        _, grey = _profiles(patch, a, b, _rows(a, b), across, (0.0, side.at_end_px - side.at_start_px))
+        if len(grey):
+            profile = _middle(grey)
+            inner, outer, text = _extent(profile, across, start, height_px)
+            valley = _valley(profile, across, start)
+            near = abs(start) < VALLEY_REACH * height_px  # farther away it is lettering
+            known = valley if valley is not None and valley < outer and near else None
+            found.append(_Tried(i, side, profile, start, inner, outer, text, known, band))
+            if before:
+                found += [_to_valley(found[-1], across)] if known is not None else []
+    return found
+
+
+def _to_valley(tried: _Tried, across: Array) -> _Tried:
+    return replace(tried, outer_px=float(across[-1]) if tried.valley_px is None else tried.valley_px, to_valley=True)
+
+
+def _extent(profile: Array, across: Array, start_px: float, height_px: float) -> tuple[float, float, float]:
+    """From where to where a profile belongs to one step, and where lettering just inside of it ends (NaN: there is none).
+
+    Inside: as far as the ground is even, or over the end of lettering that leaves no even ground. Outside: up to what
+    follows without a rise and is another step down.
+    """
+    at = min(int(np.searchsorted(across, start_px)), len(profile) - 1)
+    top = at
+    while top > 0 and profile[top - 1] >= profile[top]:
+        top -= 1
+    limit = profile[top] - 0.2 * (profile[top] - float(profile[at : at + 8].min(initial=profile[top])))
+    begin = top
+    while begin > 0 and profile[begin - 1] > limit:
+        begin -= 1
+    inner, text = float(across[begin]), float("nan")
+    if begin > 0 and start_px - inner < NARROW_GROUND_PX:
+        low = begin
+        while low > 0 and profile[low - 1] < profile[low]:
+            low -= 1
+        half = (profile[low] + profile[top]) / 2
+        text = float(across[low + int(np.argmax(profile[low : top + 1] >= half))])
+        inner = max(float(across[low]), text - 1.0)
+    step = float(across[1] - across[0])
+    fall = -_derivative(profile, step, max(SMOOTH_PX, step))
+    k = at
+    while k + 1 < len(fall) and 0 < fall[k + 1] <= fall[k]:
+        k += 1
+    turn = k
+    while k + 1 < len(fall) and fall[k + 1] >= fall[k] >= 0:
+        k += 1
+    # a shoulder nearer than that is the plate's own border line, blurred
+    other = k > turn and across[k] - start_px > BORDER_OF_HEIGHT * height_px + 1.0
+    return inner, float(across[turn]) if other else float(across[-1]), text
+
+
+def _valley(profile: Array, across: Array, start_px: float) -> float | None:
+    """Offset up to which the profile falls beyond a step, where it rises again behind: a border line, or a narrow recess."""
+    k = min(int(np.searchsorted(across, start_px)), len(profile) - 1)
+    while k + 1 < len(profile) and profile[k + 1] <= profile[k]:
+        k += 1
+    rises = k + 1 < len(profile) and float(profile[k:].max()) - float(profile[k]) >= MIN_STEP_GREY
+    return float(across[k]) if rises else None
+
+
+def near_steps(profile: Array, offsets_px: Array, given_sigma_px: float) -> list[float]:
+    """Offsets of the one or two steps down of a profile that are strong and near the given outline."""
+    step = float(offsets_px[1] - offsets_px[0])
+    fall = -_derivative(profile, step, max(SMOOTH_PX, step))
+    k = np.flatnonzero((fall[1:-1] >= fall[:-2]) & (fall[1:-1] > fall[2:])) + 1
+    least = max(MIN_STEP_GREY, STEP_SHARE * float(np.ptp(profile))) / (np.sqrt(2 * np.pi) * 2 * max(SMOOTH_PX, step))
+    k = k[fall[k] >= least]
+    near = np.sqrt(fall[k]) * np.exp(-0.5 * (offsets_px[k] / (2 * given_sigma_px)) ** 2)
+    order = np.argsort(-near)[:2]
+    return [float(offsets_px[k[i]]) for i in order if near[i] > HOPELESS * near[order[0]]]
 
 
 def _middle(rows: Array) -> Array:
@@ -242,17 +407,19 @@ def _middle(rows: Array) -> Array:
     return np.asarray(ranked[n // 4 : max(n // 4 + 1, n - n // 4)].mean(axis=0))
 
 
-def _ink_level(patch: NDArray[np.float32], corners_px: Array) -> float:
-    """Grey level of the lettering: the darkest part of the plate's middle."""
+def _levels(patch: NDArray[np.float32], corners_px: Array) -> tuple[float, float]:
+    """Grey levels of the lettering and of the ground: the darkest and the brighter part of the plate's middle."""
     x0, y0, x1, y1 = bounds(corners_px)
     dx, dy = 0.12 * (x1 - x0), 0.25 * (y1 - y0)
     middle = patch[max(0, int(y0 + dy)) : int(y1 - dy) + 1, max(0, int(x0 + dx)) : int(x1 - dx) + 1]
     sparse = middle[:: 1 + middle.shape[0] // 24, :: 1 + middle.shape[1] // 96]
     seen = np.sort(sparse[np.isfinite(sparse)])
-    return float(seen[len(seen) // 25]) if len(seen) else 0.0
+    return (float(seen[len(seen) // 25]), float(seen[len(seen) - 1 - len(seen) // 8])) if len(seen) else (0.0, np.nan)
 
 
-def _direction(patch: NDArray[np.float32], a: Array, b: Array, reach: float, tilt_px: float) -> tuple[float, float] | None:
+def _direction(
+    patch: NDArray[np.float32], a: Array, b: Array, reach: float, tilt_px: float, tilt_sigma_px: float
+) -> tuple[float, float] | None:
     """Offset at the middle and difference between the ends of the line with the most coherent edge.
 
     For every tilt the rows are shifted and averaged: lettering and clutter cancel, an edge along the whole side stays.
@@ -270,7 +437,7 @@ def _direction(patch: NDArray[np.float32], a: Array, b: Array, reach: float, til
     shift = np.rint(along * tilts[:, None] / step).astype(np.int64)
     index = np.maximum(np.minimum(np.arange(columns) + shift[:, :, None], columns - 1), 0)
     taken = slope.ravel()[index + columns * np.arange(len(along))[:, None]]
-    strength = np.abs(taken.mean(axis=1)) * prior
+    strength = np.abs(taken.mean(axis=1)) * prior * np.exp(-0.5 * (tilts / tilt_sigma_px) ** 2)[:, None]
     k, top = divmod(int(strength.argmax()), columns)
     best, best_value = (float(across[top]), float(tilts[k])), float(strength[k, top])
     # a step of c grey levels has the slope c / (sqrt(2 pi) spread), spread at least the smoothing

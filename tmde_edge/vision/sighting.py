@@ -45,6 +45,7 @@ def plate_sighting(
         light_on_dark=reading.light_on_dark,
         cut=bool(cut),
         blur_px=reading.blur_px,
+        side_sigma_px=reading.side_sigma_px,
     )  # fmt: skip
 
 

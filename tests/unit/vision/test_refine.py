@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scenes import plate_still
 
+from tmde_edge.vision.bands import with_bands
 from tmde_edge.vision.edge_model import fit_edges
 from tmde_edge.vision.refine import first_step, refine_outline
 
@@ -66,11 +67,86 @@ def test_a_side_outside_the_image_is_not_refined():
     assert np.isfinite(fit.corners_px).all()
 
 
-def test_grey_and_colour_agree():
-    still = plate_still("de-mittel", 150)
+def test_grey_and_colour_agree_where_nothing_is_blue():
+    still = plate_still("ru-1", 150)
     grey = cv2.cvtColor(still.image, cv2.COLOR_BGR2GRAY)
     a, b = refine_outline(still.image, still.corners_px), refine_outline(grey, still.corners_px)
     assert np.array_equal(a.corners_px, b.corners_px)
+
+
+def _two_tone(band_bgr, body_bgr, ground_bgr=(236, 240, 240)):
+    """A plate of 150 x 40 px at (60, 40) whose left 16 px are a band; blurred."""
+    image = np.full((120, 270, 3), body_bgr, np.float32)
+    image[40:80, 60:210] = ground_bgr
+    image[40:80, 60:76] = band_bgr
+    image[50:70, 90:200:14] = image[50:70, 91:200:14] = image[50:70, 92:200:14] = 25
+    image = cv2.GaussianBlur(image, (0, 0), 0.7)
+    return image.astype(np.uint8), np.array([[59.5, 39.5], [209.5, 39.5], [209.5, 79.5], [59.5, 79.5]])
+
+
+@pytest.mark.parametrize("body", [(38, 38, 36), (50, 40, 150), (30, 30, 30)])
+def test_a_blue_band_on_a_dark_body_belongs_to_the_plate(body):
+    image, true = _two_tone((160, 60, 10), body)
+    inner = true + np.array([[16, 0], [0, 0], [0, 0], [16, 0]])  # what shows in grey
+    for given in (inner, true + 0.4):
+        fit = refine_outline(image, given, 0.5, False)
+        assert fit.refined
+        assert np.abs(fit.corners_px - true).max() < 0.35
+
+
+def test_a_blue_body_a_yellow_plate_and_a_picture_are_no_bands():
+    image, true = _two_tone((236, 240, 240), (150, 60, 20))
+    assert np.array_equal(with_bands(image, true, 1.0).corners_px, true)
+    image, true = _two_tone((40, 190, 240), (50, 40, 150), ground_bgr=(40, 190, 240))
+    assert np.array_equal(with_bands(image, true, 1.0).corners_px, true)
+    image, true = _two_tone((236, 240, 240), (38, 38, 36))
+    image[45:75, 110:130] = (180, 60, 20)
+    assert np.array_equal(with_bands(image, true, 1.0).corners_px, true)
+
+
+def test_small_print_inside_the_edge_is_not_the_edge():
+    image = np.full((140, 240), 40, np.uint8)
+    image[30:105, 40:190] = 230
+    image[50:85, 60:170:12] = 30
+    image[98:101, 60:170] = 120  # a line of small print 4 px above the lower edge
+    image = cv2.GaussianBlur(image, (0, 0), 0.7)
+    true = np.array([[39.5, 29.5], [189.5, 29.5], [189.5, 104.5], [39.5, 104.5]])
+    fit = refine_outline(image, true + np.array([[0.4, -0.3], [-0.3, 0.4], [0.3, -0.4], [-0.4, -0.2]]), 0.6, False)
+    assert np.abs(fit.corners_px - true).max() < 0.25
+
+
+def test_a_grey_recess_with_a_bright_body_beyond_is_not_a_border_line():
+    image = np.full((140, 240), 225, np.uint8)
+    image[27:113, 37:193] = 140  # 3 px of recess round the plate
+    image[30:110, 40:190] = 230
+    image[45:95, 60:170:12] = 30
+    image = cv2.GaussianBlur(image, (0, 0), 0.7)
+    true = np.array([[39.5, 29.5], [189.5, 29.5], [189.5, 109.5], [39.5, 109.5]])
+    fit = refine_outline(image, true + 0.3, 0.6, False)
+    assert np.abs(fit.corners_px - true).max() < 0.3
+
+
+def test_a_side_without_an_edge_keeps_its_place_and_the_given_doubt():
+    image = np.full((140, 260), 40, np.uint8)
+    image[30:80, 40:260] = 220  # the ground runs on to the right
+    image = cv2.GaussianBlur(image, (0, 0), 0.7)
+    given = np.array([[39.5, 29.5], [189.5, 29.5], [189.5, 79.5], [39.5, 79.5]]) + np.array([0.3, -0.3])
+    fit = refine_outline(image, given, 0.8, False)
+    assert fit.side_sigma_px[1] == pytest.approx(0.8)
+    assert max(fit.side_sigma_px[i] for i in (0, 2, 3)) < 0.4
+    assert fit.corners_px[1, 0] == pytest.approx(given[1, 0], abs=0.1)
+
+
+def test_lettering_next_to_the_edge_does_not_push_it_out():
+    """Ground of 1.2 px between lettering and edge, blurred, never reaches its level: half of what is seen lies outside."""
+    u = np.arange(-24, 25) * 0.25
+    fine = np.arange(-2000, 2001) * 0.01
+    raw = np.select([fine < -1.2, fine < 0], [90.0, 230.0], 60.0)
+    kernel = np.exp(-0.5 * (np.arange(-400, 401) * 0.01 / 0.7) ** 2)
+    profile = np.interp(u, fine, np.convolve(np.pad(raw, 400, mode="edge"), kernel / kernel.sum(), "valid"))
+    args = (profile[None], u, np.array([0.2]), 30.0, 40.0, 1.0, np.array([[-2.2, 6.0]]))
+    ((told, _),) = fit_edges(*args, np.array([230.0]), np.array([-1.2]))
+    assert told.x_px == pytest.approx(0.0, abs=0.05)
 
 
 def test_model_finds_the_edge_behind_an_unresolved_border():

@@ -20,12 +20,11 @@ from tmde_edge.vision.segment.paper import FlatView, flatten, main_class
 from tmde_edge.vision.settings import SegmenterSettings
 
 Array = NDArray[np.float64]
-MOVED_SIGMAS = 4.0  # an outline further than this from the network's corners is another edge
 FLOOR_SIGMA_PX = 0.15  # the network's own, at best
 NETWORK_SHARE = 0.6  # in the tops and bottoms of characters up to BOTH_PX high; measured on rendered stills of ten standards
 BOTH_PX, CROSSING_ALONE_PX = 13.0, 17.0
 BORDER_HEIGHT_PX = 24.0  # on lower plates no border line is wider than a pixel: nothing to measure
-REFINE_HEIGHT_PX = 16.0  # on lower plates border, margin and lettering run into one another: the network knows better
+REFINE_HEIGHT_PX = 7.0  # on lower plates border, margin and lettering run into one another: the network knows better
 
 
 class GlyphNetwork(Protocol):
@@ -74,6 +73,7 @@ class GlyphReader:
         return PlateReading(
             corners_px=fit.corners_px,
             corners_sigma_px=fit.sigma_px,
+            side_sigma_px=fit.side_sigma_px,
             refined=fit.refined,
             characters=_characters(reading.glyphs, edges, view, sigma, strokes),
             platehood=reading.platehood,
@@ -90,11 +90,8 @@ class GlyphReader:
         if not self._settings.refine:
             return given
         fit = refine_outline(image, given.corners_px, given.sigma_px, light_on_dark)
-        moved = float(np.abs(fit.corners_px - given.corners_px).max())
-        if not fit.refined or moved > MOVED_SIGMAS * max(given.sigma_px, fit.sigma_px):
-            return given
-        if fit.sigma_px > given.sigma_px:
-            return given
+        if not fit.side_sigma_px:
+            return replace(given, corners_px=fit.corners_px)
         return replace(fit, corners_px=steadied(fit.corners_px, fit.sigma_px))
 
 
@@ -110,8 +107,8 @@ def _plain(fit: OutlineFit, reading: GlyphReading) -> PlateReading:
     height = size_px(reading.corners_px)[1]
     sigma = max(0.3, 0.02 * height)
     return PlateReading(
-        corners_px=fit.corners_px, corners_sigma_px=fit.sigma_px, refined=fit.refined, platehood=reading.platehood,
-        light_on_dark=reading.light_on_dark, blur_px=fit.blur_px,
+        corners_px=fit.corners_px, corners_sigma_px=fit.sigma_px, side_sigma_px=fit.side_sigma_px, refined=fit.refined,
+        platehood=reading.platehood, light_on_dark=reading.light_on_dark, blur_px=fit.blur_px,
         characters=tuple(
             CharacterBox(
                 left_px=g.left_px, right_px=g.right_px, top_px=g.top_px, bottom_px=g.bottom_px, score=g.score,

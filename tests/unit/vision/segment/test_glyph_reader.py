@@ -67,7 +67,7 @@ def test_the_outline_is_the_images_where_it_shows():
 
 
 def test_small_plates_keep_the_networks_corners():
-    still = plate_still("de-mittel", 50)
+    still = plate_still("de-mittel", 28)
     reading = _read(still, Network(still, sigma_px=0.3))
     assert reading.refined
     assert reading.corners_sigma_px == pytest.approx(0.3)

@@ -1,0 +1,104 @@
+"""Blue bands at a plate's left and right end (EU and the like): they belong to the plate, but in grey they look like a dark body.
+
+Across each of the two sides the blueness (blue over the larger of green and red) is sampled outwards. A run that is bluer
+than the ground inside and than what lies beyond is a band; the plate ends where the run ends.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from tmde_edge.vision.protocols import Image
+from tmde_edge.vision.rectify import bounds, size_px
+
+Array = NDArray[np.float64]
+LEAST_BLUE = 30.0  # grey levels over the ground's own blueness, and over half of the band's beyond it
+WIDTH_PX = (2.0, 0.09, 0.65)  # of a band: at least so many pixels, and of the plate's height at least and at most
+INSIDE, OUTSIDE = 0.9, 0.75  # sampled so far into the plate and out of it, in plate heights
+ROWS, STEPS = 15, 56
+
+
+@dataclass(frozen=True, slots=True)
+class Banded:
+    """Corners (4, 2) with the bands inside, and whether the right and the left side carry one."""
+
+    corners_px: Array
+    right: bool
+    left: bool
+
+
+def with_bands(image: Image, corners_px: Array, slack_px: float) -> Banded:
+    """Corners moved outwards over blue bands that they leave out by more than slack_px; a grey image has none."""
+    none = Banded(corners_px, right=False, left=False)
+    if image.ndim != 3 or image.shape[2] < 3:
+        return none
+    height_px = size_px(corners_px)[1]
+    if not np.isfinite(height_px) or height_px < 3:
+        return none
+    blue = _blueness(image, corners_px, (OUTSIDE + 0.5) * height_px + 2)
+    if blue is None:
+        return none
+    patch, origin = blue
+    out = corners_px.copy()
+    found = []
+    for a, b in ((1, 2), (3, 0)):
+        end_px = _band_end(patch, corners_px[a] - origin, corners_px[b] - origin, height_px)
+        found.append(end_px is not None)
+        if end_px is not None and end_px > slack_px:
+            d = (corners_px[b] - corners_px[a]) / np.hypot(*(corners_px[b] - corners_px[a]))
+            # along the upper and lower edge, not across the side: a turned plate's ends are not upright
+            for k, other in ((a, 0 if a == 1 else 2), (b, 3 if b == 2 else 1)):
+                along = corners_px[k] - corners_px[other]
+                along /= np.hypot(*along)
+                out[k] = corners_px[k] + along * end_px / max(abs(float(along @ (d[1], -d[0]))), 0.5)
+    return Banded(out, right=found[0], left=found[1])
+
+
+def _blueness(image: Image, corners_px: Array, margin_px: float) -> tuple[NDArray[np.float32], Array] | None:
+    h, w = image.shape[:2]
+    x0, y0, x1, y1 = bounds(corners_px)
+    left, right = max(0, int(x0 - margin_px)), min(w, int(x1 + margin_px) + 2)
+    top, bottom = max(0, int(y0 - 2)), min(h, int(y1 + 3))
+    if right - left < 4 or bottom - top < 3:
+        return None
+    part = image[top:bottom, left:right].astype(np.float32)
+    blue = part[..., 0] - np.maximum(part[..., 1], part[..., 2])
+    return np.asarray(blue, dtype=np.float32), np.array([left, top], np.float64)
+
+
+def _band_end(patch: NDArray[np.float32], a: Array, b: Array, height_px: float) -> float | None:
+    """Outward offset at which the band of this side ends; None without one."""
+    d = (b - a) / np.hypot(*(b - a))
+    outward = np.array([d[1], -d[0]])
+    across = np.linspace(-INSIDE * height_px, OUTSIDE * height_px, STEPS)
+    along = np.linspace(-0.32, 0.32, ROWS)
+    at = ((a + b) / 2 + along[:, None, None] * (b - a) + across[:, None] * outward).astype(np.float32)
+    inside = (at >= 0).all(axis=2) & (at[..., 0] <= patch.shape[1] - 1) & (at[..., 1] <= patch.shape[0] - 1)
+    rows = inside.all(axis=1)
+    if rows.sum() < 5:
+        return None
+    seen = cv2.remap(patch, at[rows, :, 0], at[rows, :, 1], cv2.INTER_LINEAR)
+    profile = np.sort(seen, axis=0)[len(seen) // 4 : len(seen) - len(seen) // 4].mean(axis=0)  # without stars and letters
+    ground = max(0.0, float(np.sort(profile[: STEPS // 3])[STEPS // 9]))  # a yellow ground makes anything look blue
+    top = int(profile.argmax())
+    strength = float(profile[top]) - ground
+    if strength < 2 * LEAST_BLUE:
+        return None
+    half = ground + strength / 2
+    begin, end = top, top
+    while begin > 0 and profile[begin - 1] > half:
+        begin -= 1
+    while end < STEPS - 1 and profile[end + 1] > half:
+        end += 1
+    step = float(across[1] - across[0])
+    width_px = (end - begin + 1) * step
+    if begin == 0 or end == STEPS - 1 or width_px < WIDTH_PX[0] or not WIDTH_PX[1] < width_px / height_px < WIDTH_PX[2]:
+        return None  # a blue ground, a blue body, or a mark
+    if across[end] < -0.25 * height_px:  # inside the plate: a picture or a print
+        return None
+    last, after = float(profile[end]), float(profile[end + 1])
+    return float(across[end]) + step * (last - half) / max(last - after, 1e-6)
