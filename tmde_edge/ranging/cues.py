@@ -58,7 +58,7 @@ def char_height(features: Features, standard: PlateStandard, tall: np.ndarray, s
         return None
     size, size_sigma = height.belief("glyph_height")
     heights = features.heights[tall]
-    bias = features.glyph_bias(settings.glyph_bias_px, settings.min_char_height_px)
+    bias = features.glyph_bias(settings.glyph_bias_px, settings.glyph_resolved_px)
     if len(heights):
         length = float(heights.mean())
         each = 2 * features.sigma_tb[tall] ** 2 + (settings.glyph_jitter * heights) ** 2

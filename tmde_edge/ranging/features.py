@@ -84,10 +84,10 @@ class Features:
     def glyph_bias(self, bias_px: float, resolved_px: float) -> float:
         """One sigma of the error that all heights share (normalised): both edges outward or inward together.
 
-        Grows with `doubt`, and as the third power below `resolved_px`, where letters melt into their row.
+        Grows with `doubt`, and with the square of `resolved_px` over the height, where letters melt into their row.
         """
         typical_px = float(np.median(self.heights)) * self.focal_px if len(self.heights) else resolved_px
-        blend = 1.0 + (resolved_px / max(typical_px, 1.0)) ** 3
+        blend = 1.0 + (resolved_px / max(typical_px, 1.0)) ** 2
         return 2 * bias_px * self.doubt * blend / self.focal_px
 
     def _mean_edge(self, pairs: tuple[tuple[int, int], ...]) -> float | None:

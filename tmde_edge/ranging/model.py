@@ -98,7 +98,7 @@ def size_bias(expected: Expectation, features: Features, settings: RangingSettin
     k = expected.classes
     out = np.zeros(k + 3)
     typical = float(np.median(features.heights)) if len(features.heights) else 0.05
-    out[:k] = (features.glyph_bias(settings.glyph_bias_px, settings.min_char_height_px) / typical) ** 2
+    out[:k] = (features.glyph_bias(settings.glyph_bias_px, settings.glyph_resolved_px) / typical) ** 2
     # Corners come from fitted edges: part of their error is common to both ends of an edge.
     rough = (0.0, 0.0) if features.refined else (settings.unrefined_width_sigma, settings.unrefined_height_sigma)
     outline = ((k, features.width, features.width_sigma, rough[0]), (k + 1, features.height, features.height_sigma, rough[1]))

@@ -26,6 +26,7 @@ class RangingSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     unrefined_width_sigma: NotNegative = 0.015  # the same of its width
     outline_bias_px: NotNegative = 0.35  # common error of opposite plate edges
     glyph_bias_px: NotNegative = 0.05  # common outward error of all top and bottom edges (threshold, blur)
+    glyph_resolved_px: Positive = 6.0  # of character height: so small, that error is twice as large; it grows with the square
     glyph_jitter: NotNegative = 0.010  # relative height differences between characters of one class
     pitch_jitter_mm: NotNegative = 1.5  # ink is not centred in its cell
     yaw_sigma_rad: Positive = 0.12  # heading of a plate nothing is known of; long tails

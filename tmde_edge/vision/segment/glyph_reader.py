@@ -24,6 +24,7 @@ FLOOR_SIGMA_PX = 0.15  # the network's own, at best
 NETWORK_SHARE = 0.6  # in the tops and bottoms of characters up to BOTH_PX high; measured on rendered stills of ten standards
 BOTH_PX, CROSSING_ALONE_PX = 13.0, 17.0
 BORDER_HEIGHT_PX = 24.0  # on lower plates no border line is wider than a pixel: nothing to measure
+LOW_PLATE_PX = 5.0  # of plates about so high the network's corners err twice as much as it says (rendered stills)
 REFINE_HEIGHT_PX = 7.0  # on lower plates border, margin and lettering run into one another: the network knows better
 
 
@@ -51,6 +52,8 @@ class GlyphReader:
 
     def _measure(self, image: Image, reading: GlyphReading, hurried: bool) -> PlateReading:
         given_sigma = max(FLOOR_SIGMA_PX, sqrt(float(reading.sigma_px @ reading.sigma_px) / len(reading.sigma_px)))
+        if is_convex(reading.corners_px):
+            given_sigma *= 1 + (LOW_PLATE_PX / size_px(reading.corners_px)[1]) ** 2
         corners = steadied(reading.corners_px, given_sigma)
         given = OutlineFit(corners_px=corners, sigma_px=given_sigma, refined=False, blur_px=None)
         if reading.platehood < self._settings.platehood_min or not is_convex(reading.corners_px):
