@@ -31,6 +31,10 @@ _SCALE_SIGMA = 0.10  # of the distance that the outline suggests
 _YAW_C, _LEAN_C, _OUTLINE_C = 2.0, 4.0, 2.0  # Cauchy scales of the priors, in their sigmas
 _GAUSSIAN = 1e3
 _DISAGREE = 0.05  # log distance by the characters against that by the outline
+# Of plates and characters about _LOW_PX high, relative, growing with the square: seen heights come out too large together with
+# everything else, and melted characters are counted wrong, which makes their spacing wrong by any amount.
+_LOW_PX, _LOW_HEIGHT_SIGMA, _MELTED_PITCH = 6.0, 0.12, 0.04
+_MISSED_PITCH = 0.15  # fewer characters than any plate of the standard has: the spacing spans some that were missed
 _TALL_MISSING = 2.0  # cost of having seen small characters only
 
 
@@ -106,6 +110,12 @@ def size_bias(expected: Expectation, features: Features, settings: RangingSettin
         if side is not None:
             edge_px = float(np.hypot(settings.outline_bias_px, 0.5 * sigma * features.focal_px))
             out[place] = (2**0.5 * edge_px / (side * features.focal_px)) ** 2 + more**2
+    if features.height is not None:
+        out[k + 1] += (_LOW_HEIGHT_SIGMA * (_LOW_PX / max(features.height * features.focal_px, 1.0)) ** 2) ** 2
+    if len(features.heights):
+        melted = _MELTED_PITCH * (_LOW_PX / max(typical * features.focal_px, 1.0)) ** 2
+        missed = _MISSED_PITCH if len(features.heights) < min(expected.standard.char_counts) else 0.0
+        out[k + 2] += melted**2 + missed**2
     return np.minimum(out, 0.25)
 
 
