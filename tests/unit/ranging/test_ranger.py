@@ -102,7 +102,8 @@ def test_sigma_is_honest_and_not_lazy(id_: str, width_px: float) -> None:
         measured = ranged(r, plate)
         z.append(abs(measured.distance_m - d) / measured.sigma_m)
         assert measured.sigma_m**2 == pytest.approx(measured.noise_m**2 + (measured.scale_sigma * measured.distance_m) ** 2)
-    assert 0.56 < np.mean(np.array(z) < 1) < 0.92
+    # far plates are given sigmas for what blur does to small characters, which ideal sightings lack
+    assert 0.56 < np.mean(np.array(z) < 1) < 0.95
     assert np.mean(np.array(z) < 2) > 0.91
 
 
@@ -282,3 +283,20 @@ def test_any_quadrilateral_gives_a_finite_answer_or_a_reason(
         assert np.isfinite(numbers).all()
         assert measured.sigma_m > 0
         assert np.isfinite([x for c in measured.cues for x in (c.distance_m, c.sigma_m)]).all()
+
+
+def test_missed_characters_do_not_outvote_the_width_of_a_low_plate() -> None:
+    """Characters of 3 px of which only every second is seen: their spacing doubles; the plate's width must decide."""
+    plate = sighting(STANDARDS["fr-1"], distance_m=34.0, corner_sigma=0.3, glyph_sigma=0.1)
+    sparse = replace(plate, glyphs=plate.glyphs[::2])
+    measured = ranged(ranger("fr-1"), sparse)
+    assert measured.distance_m == pytest.approx(34.0, rel=0.04)
+
+
+def test_each_side_of_the_outline_is_believed_as_far_as_it_was_seen() -> None:
+    plate = sighting(STANDARDS["us-mi"], distance_m=8.0, corner_sigma=0.2, glyphs=False)
+    far = tuple((x + (1.5 if i in (1, 2) else 0.0), y) for i, (x, y) in enumerate(plate.corners_px))
+    wrong = replace(plate, corners_px=far)  # the right side 1.5 px too far out
+    known = replace(wrong, side_sigma_px=(0.2, 1.5, 0.2, 0.2))
+    off = [abs(ranged(ranger("us-mi"), p).distance_m / 8.0 - 1) for p in (wrong, known)]
+    assert off[1] < 0.9 * off[0]

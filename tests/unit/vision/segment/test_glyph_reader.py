@@ -66,11 +66,11 @@ def test_the_outline_is_the_images_where_it_shows():
     assert np.median(errors) < 0.3
 
 
-def test_small_plates_keep_the_networks_corners():
+def test_small_plates_keep_the_networks_corners_and_believe_them_less():
     still = plate_still("de-mittel", 28)
     reading = _read(still, Network(still, sigma_px=0.3))
     assert reading.refined
-    assert reading.corners_sigma_px == pytest.approx(0.3)
+    assert 0.4 < reading.corners_sigma_px < 0.7
     assert np.abs(reading.corners_px - still.corners_px).max() < 0.1
 
 
