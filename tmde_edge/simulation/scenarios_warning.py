@@ -9,7 +9,7 @@ from tmde_edge.simulation.scenario import Actor, Expectation, Scenario
 from tmde_edge.simulation.scenarios import BUMPER_M, Look, base, scenario
 from tmde_edge.simulation.scene import NIGHT
 from tmde_edge.simulation.sensor import Sensor
-from tmde_edge.simulation.world import Motion
+from tmde_edge.simulation.world import Motion, Road
 
 MPH_45 = 45 * 0.44704
 _TELE = hd_camera(fx_px=4886.0, width_px=1920, height_px=1080, height_m=1.3, to_bumper_m=BUMPER_M, pitch_rad=0.012)
@@ -121,6 +121,21 @@ def two_leads(look: Look) -> Scenario:
     ego = Motion(start_m=0.0, speed_mps=speed, accels=((6.9, -9.0),))
     return base(
         look, "two-leads", duration_s=8.0, ego=ego, actors=(own, other), expectation=Expectation(warn_ttc_min_s=1.5)
+    )
+
+
+@scenario("bend", "town: a car stands in our lane round a bend, where it comes in sight late; a warning is due")
+def bend(look: Look) -> Scenario:
+    speed = look.near(12.0, 0.05)
+    start = 75.0
+    curvature = 1 / look.near(80.0, 0.1)
+    contact_s = (start - BUMPER_M) / speed
+    car = Actor(name="standing", motion=Motion(start_m=start, speed_mps=0.0), body=look.body(), face=look.face())
+    return base(
+        look, "bend", duration_s=round(contact_s + 0.2, 1), actors=(car,), style=look.road(skyline="town"),
+        ego=Motion(start_m=0.0, speed_mps=speed, accels=((contact_s - 0.9, -9.0),)),
+        road=Road(curvature=((40.0, 0.0), (50.0, curvature), (200.0, curvature))),
+        expectation=Expectation(warn_ttc_min_s=1.5),
     )
 
 

@@ -89,14 +89,16 @@ class LeadTracker:
 
     def predict(self, t_ns: int) -> None:
         """Moves every track on to t_ns and ends those that coasted too long or grew too uncertain."""
-        speed = self._ego.speed_mps if self._ego is not None else None
+        yaw_radps = self._yaw_radps()
         for track in list(self.tracks.values()):
             dt_s = (t_ns - track.t_ns) * 1e-9
             if dt_s > 0:
                 # While the speed was unknown the filter is relative; it changes over before it moves on.
+                speed = self._approach_mps(track.lateral_m)
                 track.filter.set_ego_speed(speed)
                 sigma_m = (self._ego.speed_sigma_mps if self._ego is not None else 0.0) * dt_s
-                travel_m = self.ego_motion.travel_m(track.t_ns, t_ns)
+                travel_m = self._travel_m(track, track.t_ns, t_ns)
+                track.lateral_m += yaw_radps * dt_s * track.filter.distance_m
                 track.filter.predict(dt_s, travel_m, sigma_m)
                 if track.without_depth is not None:
                     track.without_depth.set_ego_speed(speed)
@@ -106,6 +108,23 @@ class LeadTracker:
             carried = track.depth_ns is not None and t_ns - track.depth_ns <= DEPTH_CARRIES_NS
             if self._over(track, track.filter, t_ns, self._s.coast_s + (DEPTH_ADDS_S if carried else 0.0)):
                 del self.tracks[track.track_id]
+
+    def _yaw_radps(self) -> float:
+        """Our turning, left positive; 0 where it is not known."""
+        return 0.0 if self._ego is None or self._ego.yaw_rate_radps is None else self._ego.yaw_rate_radps
+
+    def _approach_mps(self, lateral_m: float) -> float | None:
+        """How fast what stands at this lateral place comes nearer along our axis; None where our speed is not known.
+
+        The axis turns with us: z falls by v + x yaw, so what stands beside a bend must not look as if it drove.
+        """
+        return None if self._ego is None else self._ego.speed_mps + lateral_m * self._yaw_radps()
+
+    def _travel_m(self, track: Track, from_ns: int, to_ns: int) -> float:
+        """The same over a time: our way, and what our turning adds at this track's place."""
+        if self._ego is None:
+            return 0.0
+        return self.ego_motion.travel_m(from_ns, to_ns) + track.lateral_m * self._yaw_radps() * (to_ns - from_ns) * 1e-9
 
     def _over(self, track: Track, state: RangeFilter, t_ns: int, coast_s: float) -> bool:
         """True where nothing was measured for too long, or nothing is known any more."""
@@ -128,7 +147,7 @@ class LeadTracker:
                     self._s,
                     distance_m=measurement.distance_m,
                     noise_m=measurement.noise_m,
-                    ego_speed_mps=self._ego.speed_mps if self._ego is not None else None,
+                    ego_speed_mps=self._approach_mps(measurement.lateral_m),
                 ),
                 t_ns=measurement.t_ns,
                 measured_ns=measurement.t_ns,
@@ -168,7 +187,7 @@ class LeadTracker:
             track.without_depth = copy.deepcopy(track.filter)
         if carries:
             track.seen_again = 0
-        age_s, travel_m = (t_ns - reading_ns) * 1e-9, self.ego_motion.travel_m(reading_ns, t_ns)
+        age_s, travel_m = (t_ns - reading_ns) * 1e-9, self._travel_m(track, reading_ns, t_ns)
         if track.filter.update_depth(distance_m, sigma_m, age_s, travel_m).accepted:
             track.depth_ns = t_ns
             if carries:

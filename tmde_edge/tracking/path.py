@@ -94,18 +94,21 @@ class OwnPath:
     def arc_offset_m(self, lateral_m: float, lateral_sigma_m: float, distance_m: float) -> tuple[float, float]:
         """Offset from the arc of yaw rate over speed, and its sigma.
 
-        The arc moves the path by kappa D^2 / 2. A wheel that turns just now bends it further; how far is not known, so
-        half of it is expected and half of it is doubt.
+        Against a circle of curvature kappa (right positive) the offset is (2 x - kappa r^2) / (1 + distance from its centre
+        in radii), r^2 = x^2 + D^2: exact also where it has turned far. A wheel that turns just now bends it further; how
+        far is not known, so half of it is expected and half of it is doubt.
         """
         sigma_m = math.hypot(lateral_sigma_m, _HEADING_RAD * distance_m)
         ego = self._ego
         if ego is None or ego.yaw_rate_radps is None or ego.speed_mps < _LEAST_SPEED_MPS:
             return lateral_m, sigma_m
         v = ego.speed_mps
-        shift_m = ego.yaw_rate_radps / v * distance_m**2 / 2
+        kappa = -ego.yaw_rate_radps / v
+        radii = math.hypot(1.0 - kappa * lateral_m, kappa * distance_m)
+        offset_m = (2.0 * lateral_m - kappa * (lateral_m**2 + distance_m**2)) / (1.0 + radii)
         more_m = self._turning() / v**2 * _ramp_m3(distance_m, _STEERING_S * v)
         sigma_m = math.hypot(sigma_m, ego.yaw_rate_sigma_radps / v * distance_m**2 / 2, more_m / 2)
-        return lateral_m + shift_m + more_m / 2, sigma_m
+        return offset_m + more_m / 2, sigma_m
 
     def _turning(self) -> float:
         """Yaw acceleration (rad/s2) by least squares over the last moments; 0 where it is within lane keeping."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
@@ -146,12 +148,34 @@ def test_the_oncoming_are_never_the_lead() -> None:
 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_what_stands_beside_a_sharp_bend_stands(sign: float) -> None:
+    """A circle of 20 m at 5.5 m/s; a car parked 3.1 m outside of it, a third of the circle ahead at first."""
+    t, v, radius = LeadTracker(S), 5.5, 20.0
+    for k in range(60):
+        ahead = 1.3 - v / radius * k / 30
+        z = (radius + 3.1) * math.sin(ahead)
+        x = sign * (radius - (radius + 3.1) * math.cos(ahead))  # right positive; sign 1: a bend to the right
+        t.set_ego(EgoState(t_ns=k * DT_NS, speed_mps=v, yaw_rate_radps=-sign * v / radius))
+        t.predict(k * DT_NS)
+        if k < 45:
+            t.update(measured(1, k * DT_NS, z, x), "plate")
+        assert t.choose(k * DT_NS) is None
+        track = t.tracks[1]
+        if k > 15:
+            assert not track.moved
+            assert track.filter.lead_speed_mps == pytest.approx(0.0, abs=0.6)
+            assert track.filter.range_rate_mps == pytest.approx(-v * math.cos(ahead) * (radius + 3.1) / radius, abs=0.6)
+            assert track.lateral_m == pytest.approx(x, abs=0.5)  # also while it is not seen
+            assert t.path_offset_m(track)[0] == pytest.approx(-sign * 3.1, abs=0.5)
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_offset_of_an_arc(sign: float) -> None:
     path = OwnPath()
     for k in range(40):
         path.set_ego(EgoState(t_ns=k * DT_NS, speed_mps=10.0, yaw_rate_radps=sign * 0.2))
     offset, sigma = path.offset_m(0, 0.0, 0.0, 20.0)
-    assert offset == pytest.approx(sign * 0.02 * 400 / 2)
+    assert offset == pytest.approx(sign * (math.hypot(50.0, 20.0) - 50.0))
     assert 0.05 < sigma < 0.5
     path.set_ego(None)
     assert path.offset_m(0, 0.7, 0.1, 20.0)[0] == 0.7
