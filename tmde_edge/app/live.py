@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+import gc
 import logging
 import queue
 import sys
@@ -173,6 +174,7 @@ class LiveLoop:
         self._bus = bus
         switch_s = sys.getswitchinterval()
         sys.setswitchinterval(SWITCH_INTERVAL_S)
+        gc.freeze()  # what is built by now lives on: looking through all of it for garbage again would cost a frame
         self._on_thread("decision")
         threads = [self._thread("capture", self._capture), self._thread("perception", self._perceive)]
         bus.start()
@@ -184,6 +186,7 @@ class LiveLoop:
             self._decide_all()
         finally:
             sys.setswitchinterval(switch_s)
+            gc.unfreeze()
             self._stopping.set()
             self._notifier.stopping()
             bus.close()

@@ -69,7 +69,9 @@ class GlyphReader:
         boxes = _flat_boxes(reading.glyphs, view)
         edges, sigma = box_edges(view.grey, boxes, reading.light_on_dark)
         edges, sigma = _with_network(boxes, edges, sigma, view.per_px)
-        strokes = [stroke_width(ink_mask(view.grey, b, reading.light_on_dark)) / view.per_px for b in edges]
+        strokes = [0.0] * len(edges)  # not measured
+        if not hurried:
+            strokes = [stroke_width(ink_mask(view.grey, b, reading.light_on_dark)) / view.per_px for b in edges]
         main_strokes = [s for s, g in zip(strokes, reading.glyphs, strict=True) if g.main and s > 0]
         visible = not hurried and size_px(given.corners_px)[1] >= BORDER_HEIGHT_PX
         border = border_thickness(view.grey, reading.light_on_dark) if visible else None
