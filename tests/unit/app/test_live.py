@@ -103,8 +103,8 @@ def test_slow_eyes_get_the_newest_frame_and_the_rest_is_counted(recording: Path)
 
     loop = LiveLoop(play(recording), slow, Echo())
     loop.run(Bus())
-    assert loop.counters.skipped + loop.counters.sightings == FRAMES
-    assert loop.counters.skipped >= 4
+    assert loop.counters.skipped + loop.counters.sightings + loop.camera.counters.lost == FRAMES  # lost: a busy machine
+    assert loop.counters.skipped + loop.camera.counters.lost >= 4
     assert np.median(ages_ns) < 0.25e9  # one after the other they would wait for 0.35 s
 
 
