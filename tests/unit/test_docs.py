@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import importlib.machinery
 import importlib.util
+import itertools
 import re
 import shlex
 from pathlib import Path
@@ -15,6 +16,7 @@ import pytest
 
 from tmde_edge.cli import _parser
 from tmde_edge.config import Config
+from tmde_edge.plates.standard import load_standards
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -89,6 +91,9 @@ def test_commands_that_documents_show_are_understood(page: Path) -> None:
         verb = next((w for w in words if w in verbs), None)
         known = set(parser._option_string_actions) | (set(verbs[verb]._option_string_actions) if verb else set())
         wrong += [f"{verb}: {w}" for w in words if re.match(r"--[a-z]", w) and w.split("=")[0].rstrip("],") not in known]
+        for option, word in itertools.pairwise(words):
+            if option in ("--standard", "--plate") and re.match(r"[a-z]", word) and word not in load_standards():
+                wrong.append(f"{option} {word}")
         first = words[0] if words else ""
         if re.fullmatch(r"[a-z][a-z-]+", first) and verb is None:
             wrong.append(first)
