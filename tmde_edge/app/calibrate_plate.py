@@ -38,8 +38,11 @@ from tmde_edge.ranging.settings import RangingSettings
 
 Image = NDArray[np.uint8]
 
-# A plate to calibrate with is bare and its outline is looked at twice: its edges are the plate's own, not a frame's.
-BARE_PLATE = RangingSettings(outline_sigma_mm=0.5, outline_sigma_tb_mm=0.5, outline_bias_px=0.2, glyph_bias_px=0.1)
+# A plate to calibrate with is bare and its outline is looked at twice: its edges are the plate's own, not a frame's, and
+# the ruler lay on them. One plate's characters come from one set of dies.
+BARE_PLATE = RangingSettings(
+    outline_sigma_mm=0.25, outline_sigma_tb_mm=0.25, outline_bias_px=0.2, glyph_bias_px=0.1, glyph_jitter=0.005
+)
 SHARPEST = 5  # frames of a video or a live camera that one capture is made of
 POSE_SIGMA_RAD = 0.006  # a pitch surer than this turns the rays and is written,
 POSE_CAPTURES = 4  # and of so many captures: plates held by hand at other heights look like a pitch

@@ -19,6 +19,7 @@ from tmde_edge.errors import UsageError
 from tmde_edge.geometry.pinhole import Camera, view_from_vehicle
 from tmde_edge.messages import PlateSighting, RangeMeasurement
 from tmde_edge.plates.standard import PlateStandard, Size
+from tmde_edge.ranging.model import expectation
 from tmde_edge.ranging.ranger import Ranger
 from tmde_edge.ranging.scale_memory import TrackScale
 from tmde_edge.ranging.settings import RangingSettings
@@ -50,7 +51,10 @@ class Capture:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CaptureFocal:
-    """What one capture says: f by each way, sigmas relative; `own` is new in every capture, `common` the plate's true size."""
+    """What one capture says: f by each way, sigmas relative.
+
+    `common` is what the plate's true sizes may be off, the same in all captures; `own` all the rest: noise, pixels, pose.
+    """
 
     capture: Capture
     f_px: float  # by the joint fit
@@ -103,6 +107,7 @@ def capture_focal(
     view = view_from_vehicle(pitch_rad, roll_rad)
     ranger = Ranger(settings, [standard])
     found: list[tuple[float, RangeMeasurement, TrackScale]] = []
+    seen: list[PlateSighting] = []
     reason = "no plate"
     for sighting in capture.sightings:
         one = _solve(capture, sighting, ranger, view, standard, lens)
@@ -110,6 +115,7 @@ def capture_focal(
             reason = one
         else:
             found.append(one)
+            seen.append(sighting)
     if not found:
         return reason
     logs = np.log([f for f, _, _ in found])
@@ -117,13 +123,16 @@ def capture_focal(
     noise = float(np.median([m.noise_m / m.distance_m for _, m, _ in found]))
     if len(found) > 1:
         noise = max(noise, float(logs.std(ddof=1))) / len(found) ** 0.5
+    typical = int(np.argsort(logs)[len(logs) // 2])
+    assumed = float(np.median([m.scale_sigma for _, m, _ in found]))
+    common = _size_sigma(capture, seen[typical], found[typical][0], standard, settings, view, lens, assumed)
     cues = {name: [(f_ * m.distance_m / c.distance_m, c.sigma_m / c.distance_m) for f_, m, _ in found for c in m.cues
                    if c.cue == name] for name in ("plate_height", "plate_width")}  # fmt: skip
     height, width = (_typical(cues[name]) for name in ("plate_height", "plate_width"))
-    _, middle, scale = found[int(np.argsort(logs)[len(logs) // 2])]
+    _, middle, scale = found[typical]
     u, v = middle.lateral_m / middle.distance_m, middle.down_m / middle.distance_m
     return CaptureFocal(
-        capture=capture, f_px=f, own_sigma=noise, common_sigma=float(np.median([m.scale_sigma for _, m, _ in found])),
+        capture=capture, f_px=f, own_sigma=math.sqrt(noise**2 + assumed**2 - common**2), common_sigma=common,
         by_height_px=height[0], by_height_sigma=height[1], by_width_px=width[0], by_width_sigma=width[1],
         yaw_rad=scale.yaw_rad, lean_rad=scale.lean_rad, roll_rad=scale.roll_rad, down=v,
         straight_over_forward=math.sqrt(1 + u * u + v * v),
@@ -148,6 +157,40 @@ def _solve(capture: Capture, sighting: PlateSighting, ranger: Ranger, view: Floa
         if abs(step - 1) < _CLOSE:
             return f, measured, scale
     return "no focal length puts this plate at the stated distance"
+
+
+def _size_sigma(capture: Capture, sighting: PlateSighting, f_px: float, standard: PlateStandard, settings: RangingSettings,
+                view: Floats, lens: Camera | None, assumed: float) -> float:
+    """How far f moves with the plate's true sizes one sigma off, relative; at most `assumed`.
+
+    The range's own scale sigma holds more than that: pose priors and pixel errors, which the next capture draws anew.
+    """
+    expected = expectation(standard, settings)
+    sigma = np.sqrt(expected.sizes.covariance.diagonal())
+    k = expected.classes
+    moved = []
+    for i, key in enumerate((*expected.keys, "plate_width", "plate_height")):
+        grown = _grown(standard, key if i < k else "", float(1 + sigma[i]), key if i >= k else "")
+        one = _solve(capture, sighting, Ranger(settings, [grown]), view, grown, lens) if grown is not None else None
+        if one is not None and not isinstance(one, str):
+            moved.append(math.log(one[0] / f_px))
+    return min(math.hypot(*moved), assumed) if moved else assumed
+
+
+def _grown(standard: PlateStandard, glyph: str, factor: float, side: str) -> PlateStandard | None:
+    """The standard with one class of characters or one side of the plate larger; None where it states no such size."""
+    def scaled(size: Size) -> Size:
+        values = {name: None if v is None else v * factor for name, v in (("mm", size.mm), ("min", size.min), ("max", size.max))}
+        return msgspec.structs.replace(size, **values)
+
+    if glyph:
+        height = standard.glyphs[glyph].height
+        if height is None:
+            return None
+        changed = msgspec.structs.replace(standard.glyphs[glyph], height=scaled(height))
+        return msgspec.structs.replace(standard, glyphs={**standard.glyphs, glyph: changed})
+    size = getattr(standard, side)
+    return None if size is None else msgspec.structs.replace(standard, **{side: scaled(size)})
 
 
 def _first_focal(capture: Capture, sighting: PlateSighting, standard: PlateStandard) -> float | None:

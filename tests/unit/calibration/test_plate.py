@@ -71,6 +71,17 @@ def test_sigma_covers_the_error_of_noisy_captures() -> None:
     assert np.max(np.abs(z)) < 3
 
 
+def test_what_captures_share_is_the_plates_size_alone() -> None:
+    """Pixels and the plate's pose are drawn anew in every capture: more captures average them out."""
+    three = solved([shot(d) for d in (2.0, 5.0, 10.0)])
+    near, far = three.captures[0], three.captures[-1]
+    assert far.common_sigma < 1.15 * near.common_sigma
+    assert far.own_sigma > 3 * near.own_sigma
+    nine = solved([shot(d, seed=i, noise=0.1) for i, d in enumerate((2.0, 5.0, 10.0) * 3)])
+    assert nine.sigma < 0.85 * three.sigma
+    assert nine.sigma > min(c.common_sigma for c in nine.captures)
+
+
 def test_a_wrong_reference_point_is_seen_and_can_be_solved_for() -> None:
     shots = [shot(d + 0.15, d) for d in (2.0, 5.0, 10.0)]
     outcome = solve(shots, JOB)
