@@ -17,6 +17,7 @@ _STROKE_PER_HEIGHT = 0.14
 _GAP_PER_HEIGHT = 0.13
 _GROUP_GAP_PER_HEIGHT = 0.45
 _BAND_MM = 40.0
+_LETTERS, _DIGITS = "ABCDEFGHJKLMNPRSTUVWXYZ", "0123456789"
 _COLOURS: dict[str, Colour] = {
     "white": (236, 240, 240), "yellow": (40, 190, 240), "black": (22, 22, 24), "blue": (150, 60, 20),
     "green": (60, 110, 20), "red": (40, 40, 190), "silver": (200, 200, 200), "grey": (160, 160, 160),
@@ -142,6 +143,15 @@ def _size(size: Size | None, rng: np.random.Generator | None, otherwise: float) 
     if rng is None or size.min is None or size.max is None or size.min >= size.max:
         return float(nominal)
     return float(rng.triangular(size.min, min(max(nominal, size.min), size.max), size.max))
+
+
+def any_text(name: str, rng: np.random.Generator) -> str:
+    """Random characters in the layout of the usual text: a letter for each letter, a digit for each digit."""
+
+    def other(char: str) -> str:
+        return char if char == " " else str(rng.choice(list(_DIGITS if char.isdigit() else _LETTERS)))
+
+    return "/".join("".join(other(char) for char, _ in row) for row in _rows(standard_named(name), None))
 
 
 def _rows(standard: PlateStandard, text: str | None) -> list[list[tuple[str, str]]]:

@@ -300,3 +300,11 @@ def test_each_side_of_the_outline_is_believed_as_far_as_it_was_seen() -> None:
     known = replace(wrong, side_sigma_px=(0.2, 1.5, 0.2, 0.2))
     off = [abs(ranged(ranger("us-mi"), p).distance_m / 8.0 - 1) for p in (wrong, known)]
     assert off[1] < 0.9 * off[0]
+
+
+def test_cues_that_contradict_each_other_widen_the_sigma() -> None:
+    """Characters that say 4 % farther than the outline: one of the sizes is wrong, and nobody knows which."""
+    agree = sighting(STANDARDS["ru-1"], distance_m=6.0, glyph_sigma=0.05, corner_sigma=0.1)
+    torn = sighting(STANDARDS["ru-1"], distance_m=6.0, glyph_sigma=0.05, corner_sigma=0.1, glyph_mm=76 * 0.96)
+    a, b = (ranged(ranger("ru-1"), p) for p in (agree, torn))
+    assert b.sigma_m > 1.3 * a.sigma_m
