@@ -19,7 +19,7 @@ class PageKeeper:
 
     def __init__(self, hub: Hub, listen: Callable[[], ViewServer], back_off: BackOff | None = None) -> None:
         """`listen` binds the page's address and raises DeviceError where that cannot be done."""
-        self.hub, self._listen, self._back_off = hub, listen, back_off or BackOff(1.0, 30.0)
+        self.hub, self._listen, self._back_off = hub, listen, back_off or BackOff(1.0, 10.0)
         self._server: ViewServer | None = None
         self._failed = False
         self._stopping = threading.Event()
