@@ -33,6 +33,7 @@ BOX_MEMORY_S = 3.0  # how long the place of a hidden lead is still looked at
 DOUBTS_TO_RESET = 2
 FORGOTTEN_S = 12.0  # an older fit says nothing
 LEAST_SCALE = 0.01  # 1/m: a flat fit walks as far as one of this slope, or it would stay flat
+RESIDUAL_GAIN = 0.25  # of a newest plate error in the residual: four seconds outweigh the first guess
 MISFIT = 0.25  # relative: a fit that plates contradict by so much, lastingly, is none
 CUT_CORRELATION = 0.3  # successive readings less alike than this are another scene
 
@@ -313,7 +314,7 @@ def advanced(old: Alignment, points: Points, plates: int) -> Alignment:
     residual_variance = old.residual_variance
     if plates and old.plates:
         error = (rows[:plates] @ theta) / points.inverse_m[:plates] - 1.0
-        residual_variance += 0.15 * (float(np.median(np.minimum(error**2, 0.25))) - residual_variance)
+        residual_variance += RESIDUAL_GAIN * (float(np.median(np.minimum(error**2, 0.25))) - residual_variance)
     information, pull = old.information, old.pull
     for _ in range(3):
         error = (rows @ theta - points.inverse_m) / points.sigma
