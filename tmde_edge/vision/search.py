@@ -13,8 +13,9 @@ import cv2
 import numpy as np
 
 from tmde_edge.messages import Mode
-from tmde_edge.vision.detect.contour import ContourFinder, without_doubles
+from tmde_edge.vision.detect.contour import ContourFinder, box_iou, without_doubles
 from tmde_edge.vision.protocols import Image, PlateCandidate, PlateFinder
+from tmde_edge.vision.rectify import Array, bounds
 from tmde_edge.vision.settings import DetectorSettings
 
 Region = tuple[int, int, int, int]  # x0, y0, x1, y1, half open, inside the image
@@ -22,6 +23,11 @@ TILE_PX = (640, 384)  # one look of a network, in scaled pixels
 TILE_OVERLAP = 0.2
 NEAR_SCALE = 0.4  # of the whole view's scale: plates that fill half of the picture and more
 TALLEST_ASPECT = 0.75  # height / width; taller pictures are searched at a smaller scale
+CLOSER_PX = (48.0, 96.0)  # plate widths in network pixels, one for each of its heads
+CLOSER_ENLARGED = 2.0  # at most; more would show nothing new
+CLOSER_MARGIN = 0.6  # plate widths round the place
+CLOSER_IOU = 0.3  # overlap with the place asked about
+CLOSER_FLOOR = 0.02  # the score of a place where nothing is found
 PLAIN_STILL_WIDTH_PX = 1600  # finders without a scale of their own see stills scaled down to this
 
 
@@ -38,6 +44,10 @@ class PlateSearch(Protocol):
 
     def still(self, image: Image, mode: Mode) -> Iterator[list[PlateCandidate]]:
         """Looks at one still, from the whole to finer parts; the caller stops when it has seen enough."""
+        ...
+
+    def closer(self, image: Image, corners_px: Array) -> float | None:
+        """How sure the finder is (0..1) of one place by itself, at the size it judges best; None: it has no such size."""
         ...
 
 
@@ -72,10 +82,11 @@ class NetworkSearch:
         """The whole image at search width; smaller, for plates that fill it; then tiles at ever higher resolution."""
         width, height = image.shape[1], image.shape[0]
         scale = self._whole_scale(width, height)
-        yield self._detector.detect(image, scale=scale, score_min=self._score_min(mode))
+        least = min(self._settings.still_score_min, self._score_min(mode))
+        yield self._detector.detect(image, scale=scale, score_min=least)
         if not self._settings.still_second_look:
             return
-        yield self._detector.detect(image, scale=scale * NEAR_SCALE, score_min=self._score_min(mode))
+        yield self._detector.detect(image, scale=scale * NEAR_SCALE, score_min=least)
         looks = self._settings.still_tiles_max
         while scale < 1.0 and looks > 0:
             scale = min(1.0, 2 * scale)
@@ -83,8 +94,27 @@ class NetworkSearch:
             looks -= len(regions)
             found: list[PlateCandidate] = []
             for region in regions:
-                found += self._detector.detect(image, region_px=region, scale=scale, score_min=self._score_min(mode))
+                found += self._detector.detect(image, region_px=region, scale=scale, score_min=least)
             yield without_doubles(found)
+
+    def closer(self, image: Image, corners_px: Array) -> float | None:
+        """The mean log odds of looks at CLOSER_PX."""
+        x0, y0, x1, y1 = bounds(corners_px)
+        logits = []
+        for width_px in CLOSER_PX:
+            scale = min(CLOSER_ENLARGED, width_px / max(x1 - x0, 1.0))
+            margin = CLOSER_MARGIN * (x1 - x0)
+            region = (
+                max(0, int(x0 - margin)), max(0, int(y0 - margin)),
+                min(image.shape[1], int(x1 + margin)), min(image.shape[0], int(y1 + margin)),
+            )
+            if region[2] - region[0] < 8 or region[3] - region[1] < 8:
+                return CLOSER_FLOOR
+            found = self._detector.detect(image, region_px=region, scale=scale, score_min=CLOSER_FLOOR)
+            score = max((c.score for c in found if box_iou(c.corners_px, corners_px) > CLOSER_IOU), default=CLOSER_FLOOR)
+            score = min(score, 1.0 - 1e-6)
+            logits.append(np.log(score / (1.0 - score)))
+        return float(1.0 / (1.0 + np.exp(-np.mean(logits))))
 
     def _whole_scale(self, width_px: int, height_px: int) -> float:
         """The whole image at search width, but at no more pixels than a landscape picture of that width has."""
@@ -120,6 +150,9 @@ class PlainSearch:
             PlateCandidate(corners_px=(c.corners_px + 0.5) * np.array([sx, sy]) - 0.5, score=c.score)
             for c in self._find(small, None, mode)
         ]
+
+    def closer(self, image: Image, corners_px: Array) -> float | None:
+        return None
 
     def _find(self, image: Image, region_px: Region | None, mode: Mode) -> list[PlateCandidate]:
         if isinstance(self._finder, ContourFinder):

@@ -32,6 +32,9 @@ class DetectorSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     region_margin: Positive = 1.0  # region search: the predicted box and this many plate widths round it
     region_plate_px: Positive = 96.0  # region search scales the plate to about this width (never enlarged)
 
+    still_score_min: Fraction = 0.3  # the same for stills, where finder and reader are asked again before a plate is believed
+    still_belief_min: Fraction = 0.5  # finder, reader and a closer look together: less is no plate in a still
+    still_beside_min: Fraction = 0.8  # the same for further plates beside a sure one
     still_second_look: bool = True  # `measure`: tiles at full resolution where the whole view shows no sure plate
     still_tiles_max: Annotated[int, Meta(ge=0, le=64)] = 12  # at most this many tiles
 
@@ -66,8 +69,7 @@ class SegmenterSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields
     trim_k: Annotated[int, Meta(ge=0, le=10)] = 0  # the mean leaves out the k tallest and k shortest (paper: 2)
     min_characters: Annotated[int, Meta(ge=0)] = 3  # fewer than this give no character height
     platehood_min: Fraction = 0.6  # a reader that is less sure than this that it reads a plate rejects the candidate
-    still_platehood_min: Fraction = 0.9  # the same for stills, which no second frame confirms
-    reread_platehood_min: Fraction = 0.98  # the same where a still is read again at the corners of a doubtful first reading
+    still_platehood_min: Fraction = 0.9  # a reader less sure of a still reads again at its own corners
     refine: bool = True  # sub-pixel plate outline in the source image
 
 

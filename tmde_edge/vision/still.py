@@ -1,12 +1,13 @@
-"""Plates of one picture by itself: looks from the whole to finer parts, doubtful readings read a second time."""
+"""Plates of one picture by itself: looked at from the whole to finer parts, doubtful places read and judged twice."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 from tmde_edge.messages import Mode, PlateSighting
 from tmde_edge.vision.detect.contour import box_iou
-from tmde_edge.vision.judgement import credible, joint_score
+from tmde_edge.vision.judgement import belief, joint_score
 from tmde_edge.vision.protocols import Image, PlateCandidate, PlateReader, PlateReading
 from tmde_edge.vision.rectify import is_convex
 from tmde_edge.vision.search import PlateSearch
@@ -14,8 +15,10 @@ from tmde_edge.vision.settings import DetectorSettings, SegmenterSettings
 from tmde_edge.vision.sighting import plate_sighting
 from tmde_edge.vision.timing import Timing
 
+SURE_SCORE, SURE_PLATEHOOD = 0.7, 0.98  # both together need no further look
+CERTAIN_PLATEHOOD = 0.9997  # three of four plates reach it; of what is none the surest had 0.999: outvotes the closer look
 REREAD_PLATEHOOD = 0.1  # below this a reader's corners say nothing
-SAME_STILL_IOU = 0.3  # finer looks at a still: overlap with a plate already read
+SAME_STILL_IOU = 0.3  # finer looks: overlap with a plate already read
 STILL_MODE: Mode = "strict"
 
 
@@ -24,55 +27,89 @@ def plates_of_still(
     timing: Timing,
 ) -> tuple[PlateSighting, ...]:
     """The plates that can be reported on one look, the surest first."""
-    least = segmenter.still_platehood_min
-    found: list[tuple[PlateCandidate, PlateReading]] = []
-    for candidates in search.still(image, STILL_MODE):
-        timing.done("detect")
-        # a place read badly at a small scale may be read well at a larger one
-        known = [c for c, r in found if credible(r, least)]
-        fresh = [c for c in candidates if all(box_iou(c.corners_px, k.corners_px) <= SAME_STILL_IOU for k in known)]
-        best = sorted(fresh, key=lambda c: -c.score)[: detector.max_plates]
-        found += _read_twice(image, best, reader, segmenter)
-        timing.done("read")
-        if any(_sure(c, r, detector) for c, r in found):
-            break
-    plates: list[PlateSighting] = []
-    shown: list[PlateReading] = []
-    for c, r in sorted(found, key=lambda pair: -joint_score(*pair)):
-        # two candidates may turn out to be one plate once their corners are read
-        double = any(box_iou(r.corners_px, s.corners_px) > SAME_STILL_IOU for s in shown)
-        if credible(r, least) and not double:
-            shown.append(r)
-            plates.append(
-                plate_sighting(
-                    r, track_id=0, score=joint_score(c, r), source="detector", shape=image.shape, settings=segmenter
-                )
-            )
-    return tuple(plates)
+    found = StillLook(search, reader, detector, segmenter).look(image, timing.done)
+    return tuple(
+        plate_sighting(r, track_id=0, score=score, source="detector", shape=image.shape, settings=segmenter) for r, score in found
+    )
 
 
-def _read_twice(
-    image: Image, candidates: list[PlateCandidate], reader: PlateReader, segmenter: SegmenterSettings
-) -> list[tuple[PlateCandidate, PlateReading]]:
-    """Reads candidates; what is doubtful is read again where the reader itself puts the corners.
+class StillLook:
+    """Finds and reads the plates of stills. No second frame confirms them, so finder and reader must agree about each."""
 
-    A plate that the finder saw at a small scale is cut badly at first.
-    """
-    pairs = list(zip(candidates, reader.read(image, candidates), strict=True))
-    least = segmenter.still_platehood_min
-    again = [
-        i for i, (_, r) in enumerate(pairs)
-        if r.platehood is not None and REREAD_PLATEHOOD <= r.platehood < least and is_convex(r.corners_px)
-    ]  # fmt: skip
-    better = reader.read(image, [replace(pairs[i][0], corners_px=pairs[i][1].corners_px) for i in again])
-    for i, reading in zip(again, better, strict=True):
-        if (reading.platehood or 0.0) >= segmenter.reread_platehood_min:
+    def __init__(
+        self, search: PlateSearch, reader: PlateReader, detector: DetectorSettings, segmenter: SegmenterSettings
+    ) -> None:
+        self._search = search
+        self._reader = reader
+        self._detector = detector
+        self._segmenter = segmenter
+
+    def look(self, image: Image, done: Callable[[str], None]) -> list[tuple[PlateReading, float]]:
+        """Each plate once, with its score, best first. `done` is told the stages ("detect", "read") as they end."""
+        found: list[tuple[PlateCandidate, PlateReading, float]] = []
+        for candidates in self._candidates(image, done):
+            # a place read badly at a small scale may be read well at a larger one
+            fresh = [c for c in candidates if all(box_iou(c.corners_px, k.corners_px) <= SAME_STILL_IOU for k, _, _ in found)]
+            pairs = self._read_twice(image, fresh[: self._detector.max_plates])
+            done("read")
+            judged = [(c, r, self._belief(image, c, r)) for c, r in pairs]
+            found += [f for f in judged if f[2] >= self._detector.still_belief_min]
+            done("detect")
+            if any(self._sure(c, r) for c, r, _ in found):
+                break
+        found.sort(key=lambda f: -f[2])
+        # beside a sure plate, what rests on little is left out: the search ended before it was looked at as it should be
+        least = self._detector.still_beside_min if found and self._sure(*found[0][:2]) else 0.0
+        kept = [f for k, f in enumerate(found) if k == 0 or f[2] >= least]
+        plates: list[tuple[PlateReading, float]] = []
+        for c, r, _ in sorted(kept, key=lambda f: -joint_score(*f[:2])):
+            # two candidates may turn out to be one plate once their corners are read
+            if all(box_iou(r.corners_px, p.corners_px) <= SAME_STILL_IOU for p, _ in plates):
+                plates.append((r, joint_score(c, r)))
+        return plates
+
+    def _candidates(self, image: Image, done: Callable[[str], None]) -> Iterator[list[PlateCandidate]]:
+        """Look by look, best first; weak ones by themselves, so that who has seen enough need not read them."""
+        for candidates in self._search.still(image, STILL_MODE):
+            done("detect")
+            ordered = sorted(candidates, key=lambda c: -c.score)
+            yield [c for c in ordered if c.score >= self._detector.score_min]
+            yield [c for c in ordered if c.score < self._detector.score_min]
+
+    def _read_twice(self, image: Image, candidates: list[PlateCandidate]) -> list[tuple[PlateCandidate, PlateReading]]:
+        """Reads candidates; what is doubtful is read again where the reader itself puts the corners.
+
+        A plate that the finder saw at a small scale is cut badly at first.
+        """
+        pairs = list(zip(candidates, self._reader.read(image, candidates), strict=True))
+        least = self._segmenter.still_platehood_min
+        again = [
+            i for i, (_, r) in enumerate(pairs)
+            if r.platehood is not None and REREAD_PLATEHOOD <= r.platehood < least and is_convex(r.corners_px)
+        ]  # fmt: skip
+        better = self._reader.read(image, [replace(pairs[i][0], corners_px=pairs[i][1].corners_px) for i in again])
+        for i, reading in zip(again, better, strict=True):
             pairs[i] = (pairs[i][0], reading)
-    return pairs
+        return pairs
 
+    def _belief(self, image: Image, candidate: PlateCandidate, reading: PlateReading) -> float:
+        """0..1 whether a plate is there: reader and finder together, the finder asked again about this place alone."""
+        if reading.platehood is None:
+            doubted = candidate.score < self._detector.score_min and self._search.closer(image, reading.corners_px) is not None
+            return 0.0 if doubted else 1.0
+        if reading.platehood < self._segmenter.platehood_min or not is_convex(reading.corners_px):
+            return 0.0
+        if candidate.score >= SURE_SCORE and reading.platehood >= SURE_PLATEHOOD:
+            return 1.0
+        closer = self._search.closer(image, reading.corners_px)
+        if closer is None:  # the finder has nothing to add: the reader must be sure
+            return float(reading.platehood >= self._segmenter.still_platehood_min)
+        judged = belief(candidate.score, reading.platehood, closer)
+        certain = reading.platehood >= CERTAIN_PLATEHOOD and candidate.score >= self._detector.score_min
+        return max(judged, self._detector.still_belief_min) if certain else judged
 
-def _sure(candidate: PlateCandidate, reading: PlateReading, detector: DetectorSettings) -> bool:
-    """Whether this is surely a plate, so that nothing finer needs to be looked at."""
-    if reading.platehood is None:
-        return candidate.score >= detector.confident_score
-    return reading.platehood >= detector.confident_score and candidate.score >= detector.score_min
+    def _sure(self, candidate: PlateCandidate, reading: PlateReading) -> bool:
+        """Whether this is surely a plate, so that nothing finer needs to be looked at."""
+        if reading.platehood is None:
+            return candidate.score >= self._detector.confident_score
+        return reading.platehood >= self._detector.confident_score and candidate.score >= self._detector.score_min

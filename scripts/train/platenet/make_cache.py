@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Writes shards of training patches (uint8) and labels; see README.md.
 
-usage: make_cache.py --dashcam FOLDER --photos GLOB... --out FOLDER --shards N [--first K] [--seed S]
+usage: make_cache.py --dashcam FOLDER --photos GLOB... --out FOLDER --shards N [--first K] [--seed S] [--tempting SHARE --mined FOLDER]
 A shard is NAME.npy (n, side, side, 3) and NAME.json: [[ [x,y]*4, corner weight, kind ], ...] and whether unlabelled plates are possible.
 """
 from __future__ import annotations
@@ -46,7 +46,12 @@ def build_banks(a: argparse.Namespace, seed: int, frames: set[str] | None = None
     held = (HERE.parent / "dashcam_ro_holdout.txt").read_text().split()
     extra = json.loads((HERE.parent / "dashcam_ro_extra.json").read_text())
     use = set(training_names(names, held)) if frames is None else frames
-    return Banks(faces, cards, load_photos(a.photos), load_frames(a.dashcam, use, extra), load_cliparts(a.cliparts), fonts)
+    return Banks(faces, cards, load_photos(a.photos), load_frames(a.dashcam, use, extra), load_cliparts(a.cliparts), fonts, a.tempting, load_mined(a.mined))
+
+
+def load_mined(folder: Path | None) -> list[np.ndarray]:
+    """The pictures of mine.py."""
+    return [np.asarray(cv2.imread(str(f), cv2.IMREAD_COLOR), np.uint8) for f in sorted(folder.glob("*.png"))] if folder else []
 
 
 def main() -> None:
@@ -61,12 +66,14 @@ def main() -> None:
     p.add_argument("--faces", type=int, default=2600)
     p.add_argument("--styled", type=int, default=2000)
     p.add_argument("--seed", type=int, default=1)
+    p.add_argument("--tempting", type=float, default=0.0, help="share of patches on facades, shop fronts, lit signs and mined places")
+    p.add_argument("--mined", type=Path, help="pictures of mine.py")
     p.add_argument("--synthetic", action="store_true", help="no street frames at all: for the synthetic hold-out")
     a = p.parse_args()
     cv2.setNumThreads(1)
     a.out.mkdir(parents=True, exist_ok=True)
     banks = build_banks(a, a.seed, set() if a.synthetic else None)
-    print(f"{len(banks.faces)} faces, {len(banks.photos)} photos, {len(banks.frames)} frames, {len(banks.cliparts)} cliparts", flush=True)
+    print(f"{len(banks.faces)} faces, {len(banks.photos)} photos, {len(banks.frames)} frames, {len(banks.cliparts)} cliparts, {len(banks.mined)} mined", flush=True)
     composer = Composer(banks)
     for shard in range(a.first, a.first + a.shards):
         rng = np.random.default_rng((a.seed, shard))

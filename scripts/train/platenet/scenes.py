@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from backgrounds import Image8, ImageF, draw_rear, false_card, texture
 from faces import Fonts, blend, code, colour
+from streets import tempting_scene
 
 Rng = np.random.Generator
 Quad = NDArray[np.float64]
@@ -46,6 +47,8 @@ class Banks:
     frames: list[Frame]
     cliparts: list[tuple[Image8, Image8]]
     fonts: Fonts
+    tempting: float = 0.0  # share of patches on facades, shop fronts and places of `mined`
+    mined: list[Image8] = field(default_factory=list)  # pictures (mine.py) round places that an earlier PlateNet took for plates
 
 
 def extra_of(extra: dict[str, list[tuple[float, float, float, float]]]) -> dict[str, list[tuple[float, float, float, float]]]:
@@ -198,7 +201,8 @@ class Composer:
     def patch(self, rng: Rng, side_px: int, real: bool | None = None) -> tuple[Image8, list[Label], bool]:
         """A side x side patch, its labels, and whether it shows real streets with possibly unlabelled plates."""
         labels: list[Label] = []
-        k = rng.random() if real is None else (0.0 if real else 0.99)
+        tempting = self.b.tempting > 0 and rng.random() < self.b.tempting
+        k = 0.99 if tempting else rng.random() if real is None else (0.0 if real else 0.99)
         busy: list[tuple[float, float, float, float]] = []
         street = k < 0.42 and bool(self.b.frames)
         if street:
@@ -206,13 +210,17 @@ class Composer:
             busy = [(*lab.corners_px.min(0), *lab.corners_px.max(0)) for lab in labels]
         elif k < 0.75 and self.b.photos:
             img = self._photo(rng, side_px)
+        elif tempting and self.b.mined and rng.random() < 0.4:
+            img = self._mined(rng, side_px)
+        elif tempting:
+            img = tempting_scene(rng, self.b.fonts, side_px, self._photo(rng, side_px) if self.b.photos and rng.random() < 0.7 else None)
         else:
             img = texture(rng, side_px, side_px)
-        for _ in range(int(rng.integers(0, 3 if street else 5))):
+        for _ in range(int(rng.integers(0, 3 if street or tempting else 5))):
             self._lookalike(rng, img, busy)
-        n = int(rng.choice((0, 1, 2, 3), p=(0.72, 0.2, 0.06, 0.02) if street else (0.14, 0.54, 0.22, 0.1)))
+        n = int(rng.choice((0, 1, 2, 3), p=(0.72, 0.2, 0.06, 0.02) if street else (0.55, 0.35, 0.08, 0.02) if tempting else (0.14, 0.54, 0.22, 0.1)))
         for i in range(n):
-            self._plate(rng, img, labels, busy, car=rng.random() < (0.3 if street else 0.72) and i < 2)
+            self._plate(rng, img, labels, busy, car=rng.random() < (0.3 if street else 0.92 if tempting else 0.72) and i < 2)
         out = self._camera(rng, img)
         keep = []
         for lab in labels:
@@ -298,6 +306,17 @@ class Composer:
         if rng.random() < 0.5:
             crop = crop[:, ::-1]
         return cv2.resize(crop, (side, side), interpolation=cv2.INTER_AREA if s > side else cv2.INTER_LINEAR).astype(np.float32)
+
+    def _mined(self, rng: Rng, side: int) -> ImageF:
+        """A mined picture, its middle (the tempting place) anywhere, at 0.75 to 1.3 times the scale that it tempted at."""
+        p = self.b.mined[int(rng.integers(len(self.b.mined)))]
+        h, w = p.shape[:2]
+        scale = float(np.exp(rng.uniform(np.log(0.75), np.log(1.3))))
+        at = rng.uniform(0.3, 0.7, 2) * side
+        m = np.array([(scale, 0, at[0] - scale * w / 2), (0, scale, at[1] - scale * h / 2)])
+        if rng.random() < 0.5:
+            p = p[:, ::-1]
+        return cv2.warpAffine(p, m, (side, side), flags=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT_101).astype(np.float32)
 
     def _face(self, rng: Rng) -> Image8:
         return self.b.faces[int(rng.integers(len(self.b.faces)))]
