@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import ctypes
 import logging
 import os
 import re
 import shutil
 import subprocess
 import threading
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +17,7 @@ from pathlib import Path
 _log = logging.getLogger(__name__)
 _PERIOD_S = 2.0
 _TOOL_S = 3.0
+_TRIM_S = 60.0  # pictures of many sizes come and go: what lies free between them would only grow
 # Zones of the processor come first; a battery or a radio module says little about us.
 _CPU_ZONES = ("cpu", "soc", "x86_pkg", "gpu", "tj", "bigcore", "littlecore")
 _PLAUSIBLE_C = (-40.0, 150.0)
@@ -106,6 +109,12 @@ def memory_mb(root: Path = Path("/"), pid: int | str = "self") -> float | None:
     return int(match[1]) / 1024 if match is not None else None
 
 
+def trim_memory() -> bool:
+    """Gives free pages inside the C library's heap back to the system; False where it has no such call (only glibc has)."""
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+    return trim is not None and bool(trim(ctypes.c_size_t(0)))
+
+
 class BoardWatch:
     """Looks at the board every two seconds on a thread of its own: a sensor that hangs delays nobody."""
 
@@ -124,9 +133,13 @@ class BoardWatch:
         self._stop.set()
 
     def _watch(self) -> None:
+        trimmed_s = time.monotonic()
         while not self._stop.wait(self._period_s):
             try:
                 self.state = look(self._root)
+                if time.monotonic() - trimmed_s > _TRIM_S:
+                    trim_memory()
+                    trimmed_s = time.monotonic()
             except Exception as error:  # a thread's top; without a temperature everything else goes on
                 _log.warning("the board's sensors cannot be read any more: %s", error)
                 self.state = BoardState()

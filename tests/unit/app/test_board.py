@@ -65,6 +65,21 @@ def test_cores_that_are_not_there_are_a_sentence() -> None:
         os.sched_setaffinity(0, before)
 
 
+def test_free_memory_between_living_blocks_goes_back_to_the_system() -> None:
+    def resident() -> float:
+        found = board.memory_mb()
+        assert found is not None
+        return found
+
+    blocks = [bytearray(100_000) for _ in range(2000)]  # too small to be mapped one by one
+    last = bytearray(100_000)  # at the heap's top: nothing below it is given back by itself
+    full = resident()
+    blocks.clear()
+    board.trim_memory()
+    assert resident() < full - 100
+    assert len(last) == 100_000
+
+
 def test_the_watch_looks_again(tmp_path: Path) -> None:
     put(tmp_path, "sys/class/thermal/thermal_zone0/temp", "40000")
     watch = board.BoardWatch(tmp_path, period_s=0.01)

@@ -25,6 +25,10 @@ NETWORK_SHARE = 0.6  # in the tops and bottoms of characters up to BOTH_PX high;
 BOTH_PX, CROSSING_ALONE_PX = 13.0, 17.0
 BORDER_HEIGHT_PX = 24.0  # on lower plates no border line is wider than a pixel: nothing to measure
 LOW_PLATE_PX = 5.0  # of plates about so high the network's corners err twice as much as it says (rendered stills)
+INKED_COUNT_MIN = 4  # fewer characters tell nothing about the plate's ink
+INKED_MIN = 0.62  # of the median contrast: paler is a seal; from the standards' seals (green, grey) and characters of all widths
+INKED_HEIGHT_PX = 10.0
+INKED_SURE = 0.8  # the network's score
 REFINE_HEIGHT_PX = 7.0  # on lower plates border, margin and lettering run into one another: the network knows better
 
 
@@ -67,6 +71,10 @@ class GlyphReader:
         if view is None or not reading.glyphs:
             return _plain(fit, reading)
         boxes = _flat_boxes(reading.glyphs, view)
+        inked = _of_one_ink(view, boxes, reading)
+        if not inked.all():
+            reading = replace(reading, glyphs=tuple(g for g, keep in zip(reading.glyphs, inked, strict=True) if keep))
+            boxes = boxes[inked]
         edges, sigma = box_edges(view.grey, boxes, reading.light_on_dark)
         edges, sigma = _with_network(boxes, edges, sigma, view.per_px)
         strokes = [0.0] * len(edges)  # not measured
@@ -130,6 +138,26 @@ def _flat_boxes(glyphs: Sequence[Glyph], view: FlatView) -> Array:
     sides = np.array([(g.left_px, g.top_px, g.right_px, g.bottom_px) for g in glyphs], np.float64)  # (n, 4, 2)
     mapped = apply_homography(flat_from_source, sides.reshape(-1, 2)).reshape(-1, 4, 2)
     return np.stack([mapped[:, 0, 0], mapped[:, 1, 1], mapped[:, 2, 0], mapped[:, 3, 1]], axis=1)
+
+
+def _of_one_ink(view: FlatView, boxes: Array, reading: GlyphReading) -> NDArray[np.bool_]:
+    """Which boxes are inked like the others. Seals and stickers stand in the row too, as high as a character, but paler.
+
+    What the network is sure of stays: glare makes a character pale. So do small ones: blur makes thin ones pale.
+    """
+    grey = view.grey
+    keep = np.ones(len(boxes), np.bool_)
+    if len(boxes) < INKED_COUNT_MIN or np.median(boxes[:, 3] - boxes[:, 1]) < INKED_HEIGHT_PX * view.per_px:
+        return keep
+    spans = np.clip(np.rint(boxes), 0, np.array([grey.shape[1], grey.shape[0]] * 2)).astype(int)
+    patches = [grey[t:b, left:right] for left, t, right, b in spans.tolist()]
+    if any(patch.size == 0 for patch in patches):
+        return keep
+    ends = np.array([np.percentile(patch, (8, 92)) for patch in patches])
+    ink, paper = (ends[:, 1], ends[:, 0]) if reading.light_on_dark else (ends[:, 0], ends[:, 1])
+    depth = np.abs(np.median(paper) - ink)
+    scores = np.array([g.score for g in reading.glyphs])
+    return np.asarray((depth >= INKED_MIN * np.median(depth)) | (scores >= INKED_SURE))
 
 
 def _with_network(boxes: Array, edges: Array, sigma: Array, per_px: float) -> tuple[Array, Array]:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import cv2
 import numpy as np
 import pytest
 from scenes import plate_still
@@ -10,6 +13,19 @@ from tmde_edge.vision.protocols import PlateCandidate
 from tmde_edge.vision.segment.glyph_decode import Glyph, GlyphReading
 from tmde_edge.vision.segment.glyph_reader import GlyphReader
 from tmde_edge.vision.settings import SegmenterSettings
+
+
+class Unsure:
+    """Is less sure of the fourth character."""
+
+    def __init__(self, network, score):
+        self.network, self.score = network, score
+
+    def read(self, image, corners_px):
+        reading = self.network.read(image, corners_px)[0]
+        glyphs = list(reading.glyphs)
+        glyphs[3] = replace(glyphs[3], score=self.score)
+        return [replace(reading, glyphs=tuple(glyphs))]
 
 
 class Network:
@@ -54,6 +70,19 @@ def test_heights_are_measured_in_the_image_not_taken_from_the_network(standard):
     assert reading.platehood == 0.99
     spec = still.face.spec
     assert reading.stroke_px == pytest.approx(spec.glyphs[1].stroke_mm * still.width_px / spec.width_mm, rel=0.12)
+
+
+@pytest.mark.parametrize(("ink", "score", "count"), [(0.5, 0.6, 6), (0.5, 0.9, 7), (0.95, 0.6, 7)])
+def test_seals_in_the_row_are_no_characters_unless_inked_like_them(ink, score, count):
+    still = plate_still("us-mi", 240, seed=3)
+    (left, top), (right, bottom) = still.glyph_boxes_px[3][0].astype(int), still.glyph_boxes_px[3][2].astype(int)
+    dark, paper = np.percentile(still.image[top:bottom, left:right], (5, 95))
+    still.image[top - 2 : bottom + 3, left - 1 : right + 2] = int(paper)
+    radius = (bottom - top) // 4
+    level = float(paper + ink * (dark - paper))
+    for y in (top + radius, bottom - radius):
+        cv2.circle(still.image, ((left + right) // 2, int(y)), int(radius), (level,) * 3, cv2.FILLED)
+    assert len(_read(still, Unsure(Network(still), score)).characters) == count
 
 
 def test_the_outline_is_the_images_where_it_shows():
