@@ -52,8 +52,8 @@ class DepthSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     threads: Annotated[int, Meta(ge=1)] = 1  # of the network; bounded so that depth never starves the main loop
     grid_columns: Annotated[int, Meta(ge=8, le=256)] = 64  # the network's output is kept at this size
     grid_rows: Annotated[int, Meta(ge=6, le=256)] = 48  # and its rows
-    scale_drift: Positive = 0.08  # how far the network's scale walks in a second, relative, one sigma
-    shift_drift_per_m: Positive = 0.006  # how far its shift walks in a second, 1/m, one sigma
+    scale_drift: Positive = 0.04  # how far the network's scale walks in a second, relative, one sigma
+    shift_drift_per_m: Positive = 0.0015  # how far its shift walks in a second, 1/m, one sigma
     ground_points: bool = True  # the road below the horizon also aligns (needs camera.height_m and a known pose)
     min_sigma: Positive = 0.03  # relative, of any distance by depth
     max_age_s: Positive = 1.0  # an older reading says nothing
