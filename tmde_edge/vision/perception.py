@@ -19,12 +19,13 @@ from tmde_edge.vision.rectify import Array, bounds, is_convex, size_px
 from tmde_edge.vision.search import PlateSearch, Region, fovea_region
 from tmde_edge.vision.settings import DetectorSettings, FlowSettings, SegmenterSettings
 from tmde_edge.vision.sighting import is_blind, plate_sighting
-from tmde_edge.vision.still import STILL_MODE, plates_of_still
+from tmde_edge.vision.still import STILL_MODE, StillLook, plates_of_still
 from tmde_edge.vision.timing import Timing
 from tmde_edge.vision.track import Track, associate, without_doubles
 
 EARLY_NS = 2_000_000  # a search may run this much before it is due: frame times jitter
 LONGEST_STEP_NS = 1_000_000_000  # after a gap longer than this between frames no track is carried over
+ASKED_AGAIN_HITS = 3  # more hits before what did not look like a plate from closer up is looked at again
 BETWEEN = 3.0  # work that can wait one frame is not done beside a full search where frames come this much quicker
 
 
@@ -41,6 +42,7 @@ class Perception:
         self._segmenter = segmenter
         self._flow = flow
         self._clock_ns = clock_ns
+        self._judge = StillLook(search, reader, detector, segmenter)
         self.thinning = 1.0  # full and fovea searches are this much rarer: the live loop sheds load by it
         self.far_point_px: Point | None = None  # the driving path's far end, where known: the fovea looks there
         self._reset()
@@ -181,7 +183,7 @@ class Perception:
             plate = credible(reading, self._segmenter.platehood_min) and not track.looks.contradicted(view)
             if plate and (i in matched or settled[i]):
                 track.hit(wanted[i], reading, t_ns, step_ns)
-                self._confirm(track)
+                self._confirm(track, image, wanted[i], reading)
                 track.looks.learn(view)
                 plates += self._report(track, reading, track.score, "detector", image)
                 continue
@@ -201,13 +203,21 @@ class Perception:
                 # a lower bar for candidates needs one more look before anything is claimed
                 track.needed = self._detector.confirm_hits + (1 if self._mode == "permissive" else 0)
                 self._tracks.append(track)
-                self._confirm(track)
+                self._confirm(track, image, candidate, reading)
                 plates += self._report(track, reading, track.score, "detector", image)
         return tuple(plates)
 
-    def _confirm(self, track: Track) -> None:
+    def _confirm(self, track: Track, image: Image, candidate: PlateCandidate, reading: PlateReading) -> None:
+        """Gives an identity to what is sure, or was seen often enough and looks like a plate from closer up too.
+
+        A facade far ahead changes as little from frame to frame as a plate does: more hits alone say nothing new.
+        """
         track.sure = track.sure or track.score >= self._detector.confident_score
-        if not track.id and (track.sure or track.hits >= track.needed):
+        if track.id or not (track.sure or track.hits >= track.needed):
+            return
+        if not track.sure and self._judge.belief(image, candidate, reading) < self._detector.still_belief_min:
+            track.needed = track.hits + ASKED_AGAIN_HITS
+        else:
             track.id = self._next_id
             self._next_id += 1
 

@@ -52,7 +52,7 @@ class StillLook:
             fresh = [c for c in candidates if all(box_iou(c.corners_px, k.corners_px) <= SAME_STILL_IOU for k, _, _ in found)]
             pairs = self._read_twice(image, fresh[: self._detector.max_plates])
             done("read")
-            judged = [(c, r, self._belief(image, c, r)) for c, r in pairs]
+            judged = [(c, r, self.belief(image, c, r)) for c, r in pairs]
             found += [f for f in judged if f[2] >= self._detector.still_belief_min]
             done("detect")
             if any(self._sure(c, r) for c, r, _ in found):
@@ -92,7 +92,7 @@ class StillLook:
             pairs[i] = (pairs[i][0], reading)
         return pairs
 
-    def _belief(self, image: Image, candidate: PlateCandidate, reading: PlateReading) -> float:
+    def belief(self, image: Image, candidate: PlateCandidate, reading: PlateReading) -> float:
         """0..1 whether a plate is there: reader and finder together, the finder asked again about this place alone."""
         if reading.platehood is None:
             doubted = candidate.score < self._detector.score_min and self._search.closer(image, reading.corners_px) is not None

@@ -30,6 +30,8 @@ class ScriptedSearch:
     frames: int = 0
     regions: list[tuple[int, int, int, int]] = field(default_factory=list)
     modes: list[Mode] = field(default_factory=list)
+    closer_score: float | None = None
+    closer_looks: int = 0
 
     def frame(self, image, mode):
         self.frames += 1
@@ -46,7 +48,8 @@ class ScriptedSearch:
         yield list(self.plates)
 
     def closer(self, image, corners_px):
-        return None
+        self.closer_looks += 1
+        return self.closer_score
 
 
 class EchoReader:
@@ -112,6 +115,19 @@ def test_an_unsure_plate_waits_for_its_second_sighting_a_sure_one_does_not():
     unsure = _perception(ScriptedSearch([_candidate(score=0.6)]))
     assert [len(unsure.see(_frame(i)).plates) for i in range(3)] == [0, 1, 1]
     assert _perception(ScriptedSearch([_candidate(score=0.95)])).see(_frame(0)).plates
+
+
+def test_what_is_unsure_and_no_plate_from_closer_up_never_gets_an_identity():
+    reader = EchoReader()
+    reader.platehood = 0.9
+    facade = ScriptedSearch([_candidate(score=0.5)], closer_score=0.02)
+    p = _perception(facade, reader)
+    assert not any(p.see(_frame(i)).plates for i in range(30))
+    assert 5 <= facade.closer_looks <= 12  # it is asked again, but not in every frame
+    plate = ScriptedSearch([_candidate(score=0.5)], closer_score=0.9)
+    p = _perception(plate, reader)
+    assert [bool(p.see(_frame(i)).plates) for i in range(4)] == [False, True, True, True]
+    assert plate.closer_looks == 1
 
 
 def test_a_flash_that_is_seen_once_is_never_reported():
