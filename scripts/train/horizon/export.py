@@ -7,57 +7,32 @@ from __future__ import annotations
 
 import argparse
 import sys
-import tempfile
 from pathlib import Path
 
 import numpy as np
 import onnx
 import torch
-from onnx import TensorProto, helper, numpy_helper
-from onnxruntime.quantization import CalibrationDataReader, CalibrationMethod, QuantFormat, QuantType, quantize_static
+from onnx import helper, numpy_helper
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))
+HERE = Path(__file__).resolve().parent
+sys.path[:0] = [str(HERE), str(HERE.parent)]
 from net import HEIGHT, WIDTH, HorizonNet  # noqa: E402
+from quantized import BYTES, BYTES_NCHW, FLOATS, Calibration, export, take_bytes  # noqa: E402
 from train import Cache, batch  # noqa: E402
 
 
-def take_bytes(model: onnx.ModelProto) -> onnx.ModelProto:
-    """Replaces the float input by uint8 [1, H, W]. A quantized graph begins with QuantizeLinear(x, 1/255, 0): the bytes are its output."""
-    graph = model.graph
-    graph.input.remove(graph.input[0])
-    graph.input.insert(0, helper.make_tensor_value_info("image", TensorProto.UINT8, [1, HEIGHT, WIDTH]))
-    graph.initializer.append(numpy_helper.from_array(np.array([1, 1, HEIGHT, WIDTH], np.int64), "image_shape"))
-    shaped = helper.make_node("Reshape", ["image", "image_shape"], ["image_nchw"], name="image_nchw")
-    first = next(n for n in graph.node if "x" in n.input)
-    graph.node.insert(0, shaped)
-    if first.op_type == "QuantizeLinear":
-        values = {i.name: numpy_helper.to_array(i) for i in graph.initializer}
-        scale, zero = float(values[first.input[1]]), int(values[first.input[2]])
-        if abs(scale * 255 - 1) > 1e-3 or zero != 0:
-            raise ValueError(f"input scale {scale}, zero {zero}: calibrate with pictures that reach 0 and 255")
-        for n in graph.node:
-            for k, name in enumerate(n.input):
-                if name == first.output[0]:
-                    n.input[k] = "image_nchw"
-        graph.node.remove(first)
-    else:
-        graph.initializer.append(numpy_helper.from_array(np.array(1 / 255, np.float32), "byte_scale"))
-        graph.node.insert(1, helper.make_node("Cast", ["image_nchw"], ["image_f"], to=TensorProto.FLOAT))
-        graph.node.insert(2, helper.make_node("Mul", ["image_f", "byte_scale"], ["x"]))
-    return model
+def with_bytes(model: onnx.ModelProto) -> onnx.ModelProto:
+    """uint8 [1, H, W] in."""
+    model.graph.initializer.append(numpy_helper.from_array(np.array([1, 1, HEIGHT, WIDTH], np.int64), "image_shape"))
+    shaped = helper.make_node("Reshape", [BYTES, "image_shape"], [BYTES_NCHW], name=BYTES_NCHW)
+    return take_bytes(model, [1, HEIGHT, WIDTH], shaped)
 
 
-class Calibration(CalibrationDataReader):
-    """Crops as in training, and one picture of both extremes so that the input's scale is 1/255."""
-
-    def __init__(self, cache: Path, count: int) -> None:
-        images, *_ = batch(Cache(cache), np.random.default_rng(5), count, 0.3)
-        extreme = np.random.default_rng(0).integers(0, 2, (1, 1, HEIGHT, WIDTH)).astype(np.float32)
-        self.items = iter([{"x": x} for x in (extreme, *(i[None].numpy() for i in images))])
-
-    def get_next(self) -> dict[str, np.ndarray] | None:
-        """The next picture."""
-        return next(self.items, None)
+def calibration(cache: Path, count: int) -> Calibration:
+    """Crops as in training."""
+    images, *_ = batch(Cache(cache), np.random.default_rng(5), count, 0.3)
+    extreme = np.random.default_rng(0).integers(0, 2, (1, 1, HEIGHT, WIDTH)).astype(np.float32)
+    return Calibration([extreme, *(i[None].numpy() for i in images)])
 
 
 def main() -> None:
@@ -72,22 +47,14 @@ def main() -> None:
     net = HorizonNet()
     net.load_state_dict(torch.load(a.weights, weights_only=True)["ema"])
     net.eval()
-    with tempfile.TemporaryDirectory() as d:
-        raw, quant = Path(d) / "raw.onnx", Path(d) / "quant.onnx"
-        torch.onnx.export(net, (torch.rand(1, 1, HEIGHT, WIDTH),), str(raw), opset_version=17, input_names=["x"], output_names=["logits"], dynamo=False)
-        if a.float:
-            onnx.save(take_bytes(onnx.load(raw)), a.float)
-        last = [n.name for n in onnx.load(raw).graph.node if "logits" in n.output]
-        quantize_static(
-            str(raw), str(quant), Calibration(a.calibrate, a.count), quant_format=QuantFormat.QDQ, per_channel=True, activation_type=QuantType.QUInt8,
-            weight_type=QuantType.QInt8, calibrate_method=CalibrationMethod.MinMax, nodes_to_exclude=last,
-        )  # fmt: skip
-        model = take_bytes(onnx.load(quant))
-        del model.metadata_props[:]
-        onnx.checker.check_model(model)
-        a.out.parent.mkdir(parents=True, exist_ok=True)
-        onnx.save(model, a.out)
-    print(f"{a.out}: {a.out.stat().st_size / 1e6:.2f} MB")
+
+    def draw(raw: Path) -> None:
+        torch.onnx.export(net, (torch.rand(1, 1, HEIGHT, WIDTH),), str(raw), opset_version=17, input_names=[FLOATS], output_names=["logits"], dynamo=False)
+
+    def last(model: onnx.ModelProto) -> list[str]:
+        return [n.name for n in model.graph.node if "logits" in n.output]
+
+    export(draw, last, with_bytes, lambda: calibration(a.calibrate, a.count), a.out, a.float)
 
 
 if __name__ == "__main__":
