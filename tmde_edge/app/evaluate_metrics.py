@@ -60,6 +60,19 @@ def _found_right(row: Row) -> Sequence[float]:
     return (*right, *(0.0 for _ in range(int(row.get("false_plates") or 0))))
 
 
+def _errors(stage: str) -> tuple[Metric, ...]:
+    """How large, how biased and how honest a stage's STAGE_error is beside its STAGE_sigma."""
+    error, sigma = f"{stage}_error", f"{stage}_sigma"
+    return (
+        Metric(stage=stage, name="median |error|", how="median", better=-1, values=_size(error)),
+        Metric(stage=stage, name="mean |error|", how="mean", better=-1, values=_size(error)),
+        Metric(stage=stage, name="p95 |error|", how="p95", better=-1, values=_size(error)),
+        Metric(stage=stage, name="bias", how="mean", better=0, values=_key(error)),
+        Metric(stage=stage, name="inside 1 sigma", how="mean", better=0, values=_inside(error, sigma, 1)),
+        Metric(stage=stage, name="inside 2 sigma", how="mean", better=0, values=_inside(error, sigma, 2)),
+    )
+
+
 METRICS: tuple[Metric, ...] = (
     Metric(stage="detection", name="recall", how="mean", better=1, values=_key("found")),
     Metric(stage="detection", name="precision", how="mean", better=1, values=_found_right),
@@ -68,19 +81,9 @@ METRICS: tuple[Metric, ...] = (
     Metric(stage="segmentation", name="count exact", how="mean", better=1, values=_key("count_exact")),
     Metric(stage="segmentation", name="height error", how="median", better=-1, values=_size("char_height_error")),
     Metric(stage="range", name="ranged", how="mean", better=1, values=_key("ranged")),
-    Metric(stage="range", name="median |error|", how="median", better=-1, values=_size("range_error")),
-    Metric(stage="range", name="mean |error|", how="mean", better=-1, values=_size("range_error")),
-    Metric(stage="range", name="p95 |error|", how="p95", better=-1, values=_size("range_error")),
-    Metric(stage="range", name="bias", how="mean", better=0, values=_key("range_error")),
-    Metric(stage="range", name="inside 1 sigma", how="mean", better=0, values=_inside("range_error", "range_sigma", 1)),
-    Metric(stage="range", name="inside 2 sigma", how="mean", better=0, values=_inside("range_error", "range_sigma", 2)),
+    *_errors("range"),
     Metric(stage="lead", name="reported", how="mean", better=1, values=_key("lead_reported")),
-    Metric(stage="lead", name="median |error|", how="median", better=-1, values=_size("lead_error")),
-    Metric(stage="lead", name="mean |error|", how="mean", better=-1, values=_size("lead_error")),
-    Metric(stage="lead", name="p95 |error|", how="p95", better=-1, values=_size("lead_error")),
-    Metric(stage="lead", name="bias", how="mean", better=0, values=_key("lead_error")),
-    Metric(stage="lead", name="inside 1 sigma", how="mean", better=0, values=_inside("lead_error", "lead_sigma", 1)),
-    Metric(stage="lead", name="inside 2 sigma", how="mean", better=0, values=_inside("lead_error", "lead_sigma", 2)),
+    *_errors("lead"),
 )
 
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -26,6 +27,7 @@ from tmde_edge.simulation.scenario import Scenario
 from tmde_edge.simulation.scenarios import build
 from tmde_edge.simulation.sightings import sightings
 
+T = TypeVar("T")
 SETTLED_S = 0.5  # after the first warning nothing more is judged of it
 
 
@@ -47,18 +49,17 @@ def check_scenarios(
     keep: bool = False, progress: Progress | None = None,
 ) -> Iterator[Outcome]:
     """Renders into folder/NAME-SEED and judges, one by one; names empty: all. Without keep only what failed stays."""
-    for name in names or [name for name, _ in list_scenarios()]:
-        for seed in seeds:
-            place = folder / f"{name}-{seed}"
-            try:
-                made = simulate(name, place, seed=seed, progress=progress)
-            except InputMissingError as error:
-                yield Outcome(name=name, seed=seed, faults=(), skipped=str(error))
-                continue
-            outcome = judge(made, list(desk_records(made, overrides)))
-            if not keep and not outcome.faults:
-                shutil.rmtree(place)
-            yield outcome
+
+    def make(name: str, seed: int) -> Made:
+        return simulate(name, folder / f"{name}-{seed}", seed=seed, progress=progress)
+
+    def judged(made: Made) -> Outcome:
+        outcome = judge(made, list(desk_records(made, overrides)))
+        if not keep and not outcome.faults:
+            shutil.rmtree(made.folder)
+        return outcome
+
+    return _each(names, seeds, make, judged)
 
 
 def check_without_video(
@@ -68,32 +69,71 @@ def check_without_video(
 
     A drive in which only the warning is judged ends SETTLED_S after the first one.
     """
+
+    def judged(scenario: Scenario) -> Outcome:
+        made = _without_pictures(scenario, folder)
+        records = list(rendered_records(made, overrides))
+        return judge(replace(made, frame_count=len(records), truth=made.truth[: len(records)]), records)
+
+    return _each(names, seeds, _build, judged)
+
+
+def check_without_pictures(
+    folder: Path, *, names: Sequence[str] = (), seeds: Sequence[int] = (0,), overrides: Sequence[str] = ()
+) -> Iterator[Outcome]:
+    """The same judgement on sightings drawn from the truth (simulation/sightings.py): tracking and warnings, not perception."""
+
+    def judged(scenario: Scenario) -> Outcome:
+        made = _without_pictures(scenario, folder)
+        return judge(made, list(sighting_records(made, overrides)))
+
+    return _each(names, seeds, _build, judged)
+
+
+def _each(
+    names: Sequence[str], seeds: Sequence[int], make: Callable[[str, int], T], judged: Callable[[T], Outcome]
+) -> Iterator[Outcome]:
+    """Every scenario (names empty: all) with every seed; one that needs recordings which are not here is skipped."""
     for name in names or [name for name, _ in list_scenarios()]:
         for seed in seeds:
             try:
-                scenario = build(name, seed=seed)
+                made = make(name, seed)
             except InputMissingError as error:
                 yield Outcome(name=name, seed=seed, faults=(), skipped=str(error))
                 continue
-            folder.mkdir(parents=True, exist_ok=True)
-            (folder / "config.toml").write_text(config_text(scenario), encoding="utf-8")
-            loaded = config.load(folder / "config.toml", overrides)
-            wanted = scenario.expectation
-            only_warning = wanted.warn_ttc_min_s is not None and wanted.max_relative_error is None
-            records: list[Record] = []
-            warned_s: float | None = None
-            run = dry_run(
-                RenderedFrames(scenario), build_eyes(loaded, time.perf_counter_ns), build_estimation(loaded, folder),
-                camera=loaded.camera.camera(), can=_can(scenario), tick_hz=loaded.runtime.tick_hz,
-            )  # fmt: skip
-            for step in run:
-                records.append(step.record)
-                if warned_s is None and "error" not in step.record and step.record["alert"]["level"] == "warning":
-                    warned_s = step.record["t"]
-                if only_warning and warned_s is not None and step.record["t"] >= warned_s + SETTLED_S:
-                    break
-            truth = tuple(frame_truth(scenario, frame) for frame in range(len(records)))
-            yield judge(Made(scenario=scenario, folder=folder, frame_count=len(truth), truth=truth), records)
+            yield judged(made)
+
+
+def _build(name: str, seed: int) -> Scenario:
+    return build(name, seed=seed)
+
+
+def _without_pictures(scenario: Scenario, folder: Path) -> Made:
+    """The scenario's truth, and its configuration in the folder."""
+    truth = tuple(frame_truth(scenario, frame) for frame in range(scenario.frame_count))
+    made = Made(scenario=scenario, folder=folder, frame_count=len(truth), truth=truth)
+    folder.mkdir(parents=True, exist_ok=True)
+    made.config.write_text(config_text(scenario), encoding="utf-8")
+    return made
+
+
+def rendered_records(made: Made, overrides: Sequence[str] = ()) -> Iterator[Record]:
+    """The records of a dry run on the pictures as they are rendered."""
+    scenario = made.scenario
+    loaded = config.load(made.config, overrides)
+    wanted = scenario.expectation
+    only_warning = wanted.warn_ttc_min_s is not None and wanted.max_relative_error is None
+    warned_s: float | None = None
+    run = dry_run(
+        RenderedFrames(scenario), build_eyes(loaded, time.perf_counter_ns), build_estimation(loaded, made.folder),
+        camera=loaded.camera.camera(), can=_can(scenario), tick_hz=loaded.runtime.tick_hz,
+    )  # fmt: skip
+    for step in run:
+        yield step.record
+        if warned_s is None and "error" not in step.record and step.record["alert"]["level"] == "warning":
+            warned_s = step.record["t"]
+        if only_warning and warned_s is not None and step.record["t"] >= warned_s + SETTLED_S:
+            return
 
 
 class RenderedFrames:
@@ -121,24 +161,6 @@ def _can(scenario: Scenario) -> CanTimeline:
     """The scenario's bus on source time."""
     frames = can_frames(scenario)
     return CanTimeline((CanFrame(t_ns=round(t_s * 1e9), can_id=i, data=data, channel="can0") for t_s, i, data in frames), 0.0)
-
-
-def check_without_pictures(
-    folder: Path, *, names: Sequence[str] = (), seeds: Sequence[int] = (0,), overrides: Sequence[str] = ()
-) -> Iterator[Outcome]:
-    """The same judgement on sightings drawn from the truth (simulation/sightings.py): tracking and warnings, not perception."""
-    for name in names or [name for name, _ in list_scenarios()]:
-        for seed in seeds:
-            try:
-                scenario = build(name, seed=seed)
-            except InputMissingError as error:
-                yield Outcome(name=name, seed=seed, faults=(), skipped=str(error))
-                continue
-            truth = tuple(frame_truth(scenario, frame) for frame in range(scenario.frame_count))
-            made = Made(scenario=scenario, folder=folder, frame_count=len(truth), truth=truth)
-            folder.mkdir(parents=True, exist_ok=True)
-            made.config.write_text(config_text(scenario), encoding="utf-8")
-            yield judge(made, list(sighting_records(made, overrides)))
 
 
 def sighting_records(made: Made, overrides: Sequence[str] = ()) -> Iterator[Record]:

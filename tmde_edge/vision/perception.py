@@ -19,7 +19,7 @@ from tmde_edge.vision.rectify import Array, bounds, is_convex, size_px
 from tmde_edge.vision.search import PlateSearch, Region, fovea_region
 from tmde_edge.vision.settings import DetectorSettings, FlowSettings, SegmenterSettings
 from tmde_edge.vision.sighting import is_blind, plate_sighting
-from tmde_edge.vision.still import STILL_MODE, StillLook, plates_of_still
+from tmde_edge.vision.still import STILL_MODE, StillLook
 from tmde_edge.vision.timing import Timing
 from tmde_edge.vision.track import Track, associate, without_doubles
 
@@ -42,7 +42,7 @@ class Perception:
         self._segmenter = segmenter
         self._flow = flow
         self._clock_ns = clock_ns
-        self._judge = StillLook(search, reader, detector, segmenter)
+        self._still = StillLook(search, reader, detector, segmenter)
         self.thinning = 1.0  # full and fovea searches are this much rarer: the live loop sheds load by it
         self.far_point_px: Point | None = None  # the driving path's far end, where known: the fovea looks there
         self._reset()
@@ -61,7 +61,7 @@ class Perception:
         timing = Timing(self._clock_ns)
         if is_blind(frame.image, self._detector.blind_contrast):
             return self._sighting(frame, "blind", (), (), True, STILL_MODE, timing)
-        plates = plates_of_still(frame.image, self._search, self._reader, self._detector, self._segmenter, timing)
+        plates = self._still.plates(frame.image, timing)
         return self._sighting(frame, "ok" if plates else "no_plate", plates, (), True, STILL_MODE, timing)
 
     def see(self, frame: Frame) -> Sighting:
@@ -215,7 +215,7 @@ class Perception:
         track.sure = track.sure or track.score >= self._detector.confident_score
         if track.id or not (track.sure or track.hits >= track.needed):
             return
-        if not track.sure and self._judge.belief(image, candidate, reading) < self._detector.still_belief_min:
+        if not track.sure and self._still.belief(image, candidate, reading) < self._detector.still_belief_min:
             track.needed = track.hits + ASKED_AGAIN_HITS
         else:
             track.id = self._next_id

@@ -33,7 +33,7 @@ class DetectorSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     region_plate_px: Positive = 96.0  # region search scales the plate to about this width (never enlarged)
 
     still_score_min: Fraction = 0.3  # the same for stills, where finder and reader are asked again before a plate is believed
-    still_belief_min: Fraction = 0.5  # finder, reader and a closer look together: less is no plate in a still
+    still_belief_min: Fraction = 0.5  # finder, reader and a closer look together: less is no plate in a still, and no new track
     still_beside_min: Fraction = 0.8  # the same for further plates beside a sure one
     still_second_look: bool = True  # `measure`: tiles at full resolution where the whole view shows no sure plate
     still_tiles_max: Annotated[int, Meta(ge=0, le=64)] = 12  # at most this many tiles

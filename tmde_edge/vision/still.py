@@ -22,17 +22,6 @@ SAME_STILL_IOU = 0.3  # finer looks: overlap with a plate already read
 STILL_MODE: Mode = "strict"
 
 
-def plates_of_still(
-    image: Image, search: PlateSearch, reader: PlateReader, detector: DetectorSettings, segmenter: SegmenterSettings,
-    timing: Timing,
-) -> tuple[PlateSighting, ...]:
-    """The plates that can be reported on one look, the surest first."""
-    found = StillLook(search, reader, detector, segmenter).look(image, timing.done)
-    return tuple(
-        plate_sighting(r, track_id=0, score=score, source="detector", shape=image.shape, settings=segmenter) for r, score in found
-    )
-
-
 class StillLook:
     """Finds and reads the plates of stills. No second frame confirms them, so finder and reader must agree about each."""
 
@@ -43,6 +32,13 @@ class StillLook:
         self._reader = reader
         self._detector = detector
         self._segmenter = segmenter
+
+    def plates(self, image: Image, timing: Timing) -> tuple[PlateSighting, ...]:
+        """The plates that can be reported on one look, the surest first."""
+        return tuple(
+            plate_sighting(r, track_id=0, score=score, source="detector", shape=image.shape, settings=self._segmenter)
+            for r, score in self.look(image, timing.done)
+        )
 
     def look(self, image: Image, done: Callable[[str], None]) -> list[tuple[PlateReading, float]]:
         """Each plate once, with its score, best first. `done` is told the stages ("detect", "read") as they end."""
