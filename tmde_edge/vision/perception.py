@@ -215,7 +215,8 @@ class Perception:
         track.sure = track.sure or track.score >= self._detector.confident_score
         if track.id or not (track.sure or track.hits >= track.needed):
             return
-        if not track.sure and self._still.belief(image, candidate, reading) < self._detector.still_belief_min:
+        judged = not track.sure and reading.platehood is not None  # a reader without an opinion leaves it to the hits
+        if judged and self._still.belief(image, candidate, reading) < self._detector.still_belief_min:
             track.needed = track.hits + ASKED_AGAIN_HITS
         else:
             track.id = self._next_id

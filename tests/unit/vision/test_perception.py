@@ -130,6 +130,13 @@ def test_what_is_unsure_and_no_plate_from_closer_up_never_gets_an_identity():
     assert plate.closer_looks == 1
 
 
+def test_a_reader_that_knows_no_platehood_leaves_the_unsure_to_the_number_of_hits():
+    search = ScriptedSearch([_candidate(score=0.35)])  # below score_min: found in permissive mode only
+    p = _perception(search)
+    assert [len(p.see(_frame(i)).plates) for i in range(3)] == [0, 1, 1]
+    assert search.closer_looks == 0
+
+
 def test_a_flash_that_is_seen_once_is_never_reported():
     search = ScriptedSearch([_candidate(score=0.6)])
     p = _perception(search)
