@@ -21,6 +21,7 @@ DEPTH_CARRIES_AFTER_S = 0.15  # without any other measurement for longer than th
 DEPTH_CARRIES_NS = 600_000_000  # and it does so for this long ...
 DEPTH_ADDS_S = 1.5  # ... but never more than this beyond coasting
 SEEN_AGAIN = 5  # measurements after which alerts rest on the filter with depth again
+GUESS_LASTS_S = 2.0  # an outline that is only carried along keeps its error about this long
 REAR_DEPTH_M = 0.15  # how far, one sigma, the vehicle's rear lies in front of or behind the plate's plane
 CARRIES_S = 0.45  # a growth this old still stands: they come every 0.2 s
 SAME_VEHICLE_LATERAL_M = 0.9  # a new identity this near to a coasting track is that vehicle again
@@ -160,9 +161,13 @@ class LeadTracker:
             track.filter.set_anchor(measurement.t_ns)
             self.tracks[track.track_id] = track
             return track
-        innovation = track.filter.update_range(measurement.distance_m, measurement.noise_m, guessed=guessed)
+        noise_m = measurement.noise_m
+        if guessed:  # one error in all frames of a while: together they may weigh as much as one range
+            since_s = max((measurement.t_ns - track.plate_ns) * 1e-9, GUESS_LASTS_S * 1e-3)
+            noise_m *= math.sqrt(max(1.0, GUESS_LASTS_S / since_s))
+        innovation = track.filter.update_range(measurement.distance_m, noise_m, guessed=guessed)
         if track.without_depth is not None:
-            track.without_depth.update_range(measurement.distance_m, measurement.noise_m, guessed=guessed)
+            track.without_depth.update_range(measurement.distance_m, noise_m, guessed=guessed)
             track.seen_again += 1
             if track.seen_again >= SEEN_AGAIN:
                 track.without_depth = None

@@ -18,7 +18,7 @@ from tmde_edge.vision.protocols import Image, PlateCandidate, PlateReader, Plate
 from tmde_edge.vision.rectify import Array, bounds, is_convex, size_px
 from tmde_edge.vision.search import PlateSearch, Region, fovea_region
 from tmde_edge.vision.settings import DetectorSettings, FlowSettings, SegmenterSettings
-from tmde_edge.vision.sighting import is_blind, plate_sighting
+from tmde_edge.vision.sighting import is_blind, is_washed_out, plate_sighting, washed, without_ink
 from tmde_edge.vision.still import STILL_MODE, StillLook
 from tmde_edge.vision.timing import Timing
 from tmde_edge.vision.track import Track, associate, without_doubles
@@ -180,24 +180,35 @@ class Perception:
         for i, track in enumerate(tracks):
             reading = readings[i]
             view = view_of(image, reading.corners_px) if is_convex(reading.corners_px) else None
+            track.washed = is_washed_out(image, reading.corners_px)
+            if track.washed:  # what glare eats and gives back again looks like growth
+                track.anchor = None
             plate = credible(reading, self._segmenter.platehood_min) and not track.looks.contradicted(view)
             if plate and (i in matched or settled[i]):
+                source: Literal["detector", "flow"] = "detector"
+                if track.washed and steps[i] is not None:  # it is there; where exactly, flow knows better
+                    reading, source = without_ink(reading, track.corners_px, track.sigma_px), "flow"
+                elif track.washed:
+                    reading = washed(reading)
                 track.hit(wanted[i], reading, t_ns, step_ns)
                 self._confirm(track, image, wanted[i], reading)
-                track.looks.learn(view)
-                plates += self._report(track, reading, track.score, "detector", image)
+                if not track.washed:
+                    track.looks.learn(view)
+                plates += self._report(track, reading, track.score, source, image)
                 continue
             track.misses += 1
             if track.hidden(t_ns, self._detector.lost_s):  # only its vehicle is still followed
                 continue
             if steps[i] is not None and track.bridges and track.inside(image.shape[1], image.shape[0]):
                 seen = plate and reading.refined and track.near(reading)
-                carried = reading if seen else _bare(track, reading)
+                carried = reading if seen else without_ink(reading, track.corners_px, track.sigma_px)
                 track.carry(carried, step_ns)
                 plates += self._report(track, carried, wanted[i].score, "flow", image)
         for candidate, reading in zip(fresh, readings[len(tracks) :], strict=True):
             if credible(reading, self._segmenter.platehood_min) and is_convex(reading.corners_px):
-                track = Track(corners_px=reading.corners_px, score=joint_score(candidate, reading), seen_ns=t_ns)
+                pale = is_washed_out(image, reading.corners_px)
+                reading = washed(reading) if pale else reading
+                track = Track(corners_px=reading.corners_px, score=joint_score(candidate, reading), seen_ns=t_ns, washed=pale)
                 track.sigma_px = reading.corners_sigma_px
                 track.found_ns, track.found_score = t_ns, candidate.score
                 # a lower bar for candidates needs one more look before anything is claimed
@@ -264,7 +275,7 @@ class Perception:
             return
         for track in self._tracks:
             track.template = make_template(image, track.corners_px, self._flow)
-            if track.anchor is None:
+            if track.anchor is None and not track.washed:
                 track.anchor, track.anchor_ns = track.template, t_ns
 
     def _count(self, success: bool) -> None:
@@ -288,14 +299,6 @@ def _within(corners_px: Array, region: Region) -> bool:
     """Whether a plate's middle lies in a region."""
     x, y = corners_px.mean(axis=0)
     return bool(region[0] <= x < region[2] and region[1] <= y < region[3])
-
-
-def _bare(track: Track, reading: PlateReading) -> PlateReading:
-    """What flow alone knows of a plate: its place. Characters read there are kept only when the outline was seen too."""
-    return PlateReading(
-        corners_px=track.corners_px, corners_sigma_px=track.sigma_px, refined=False, characters=(),
-        light_on_dark=reading.light_on_dark,
-    )  # fmt: skip
 
 
 def _changes(track: Track, plate: Growth | None, rear: Growth | None) -> list[ScaleChange]:

@@ -44,6 +44,7 @@ class Track:
     anchor: Template | None = None  # where the present scale change starts
     anchor_ns: int = 0
     rear_ns: int = 0  # the vehicle's rear was last followed
+    washed: bool = False  # too bright to be measured in the last frame
     looks: Looks = field(default_factory=Looks)
 
     @property

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -111,6 +112,20 @@ def followed(tracker: LeadTracker, until_s: float) -> Track:
         tracker.predict(round(k / 30 * 1e9))
         tracker.update(measured(k / 30, 20.0), "plate")
     return tracker.tracks[1]
+
+
+def test_an_outline_carried_along_for_a_second_invents_no_closing_speed() -> None:
+    """Thirty times one guess, 4 m too near at 20 m: as thirty ranges they are a lead that comes at us."""
+    rates = {}
+    for guessed in (True, False):
+        tracker = LeadTracker(TrackerSettings())
+        followed(tracker, 3.0)
+        for k in range(91, 121):
+            tracker.predict(round(k / 30 * 1e9))
+            tracker.update(replace(measured(k / 30, 16.0), noise_m=1.6), "flow", guessed=guessed)
+        rates[guessed] = tracker.tracks[1].filter.range_rate_mps
+    assert rates[False] < -1.0
+    assert abs(rates[True]) < 0.25 * abs(rates[False])
 
 
 def test_alerts_rest_on_what_is_known_without_depth() -> None:

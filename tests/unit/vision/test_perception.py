@@ -137,6 +137,26 @@ def test_a_reader_that_knows_no_platehood_leaves_the_unsure_to_the_number_of_hit
     assert search.closer_looks == 0
 
 
+def test_a_plate_washed_out_by_glare_keeps_its_place_and_says_nothing_of_its_size():
+    """As out of a tunnel: the exposure rises by three within a frame and falls again. What the glare gives back is no growth."""
+    small = plate_still("de-mittel", 40, seed=2)
+    glare = np.clip(small.image.astype(float) * 2.6, 0, 255).astype(np.uint8)
+    wrong = small.corners_px + [(2.0, -1.0), (-2.0, -1.0), (-2.0, 1.5), (2.0, 1.5)]  # where white runs into white
+    reader = EchoReader()
+    reader.platehood = 0.99
+    search = ScriptedSearch([PlateCandidate(corners_px=small.corners_px, score=0.95)])
+    p = _perception(search, reader, search_rate_hz=1000)
+    before = [p.see(_frame(i, small.image)) for i in range(20)]
+    search.plates = [PlateCandidate(corners_px=wrong, score=0.95)]
+    during = [p.see(_frame(i, glare)) for i in range(20, 50)]
+    assert all(len(s.plates) == 1 and s.plates[0].track_id == 1 and not s.plates[0].refined for s in during[3:])
+    widths = [s.plates[0].corners_px[1][0] - s.plates[0].corners_px[0][0] for s in during[3:]]
+    assert widths == pytest.approx([40.0] * len(widths), abs=1.6)  # the jump itself moves the flow a little, once
+    assert widths == pytest.approx([widths[0]] * len(widths), abs=0.3)
+    assert any(s.scale_changes for s in before)
+    assert not any(s.scale_changes for s in during)
+
+
 def test_a_flash_that_is_seen_once_is_never_reported():
     search = ScriptedSearch([_candidate(score=0.6)])
     p = _perception(search)
