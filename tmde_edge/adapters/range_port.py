@@ -61,7 +61,7 @@ class RangePort:
         self._s, self._on_range = settings, on_range
         # its end leaves the truth missing, nothing else: the service goes on
         self._lines = SerialLines(
-            settings.range_device, settings.range_baud, self._take, is_line=lambda line: line.endswith(b"\n"), name="rangefinder",
+            settings.range_device, settings.range_baud, self._take, is_line=lambda _: True, name="rangefinder",
             silent=("line", "record.range_baud"), log=_log,
         )  # fmt: skip
         self.lines = self.ranges = 0

@@ -15,7 +15,7 @@ _GIVE_UP_S = 10.0  # no line for this long: open the port again
 
 
 class SerialLines:
-    """Gives each line that `is_line` takes, with its time of arrival (monotonic ns), to `on_line`."""
+    """Gives each whole line that `is_line` takes, with the time of its end (monotonic ns), to `on_line`."""
 
     def __init__(
         self,
@@ -67,14 +67,19 @@ class SerialLines:
 
     def _read(self, port: object, back_off: BackOff) -> None:
         heard_s = time.monotonic()
+        line, whole = b"", False  # the port may open in the middle of a line, and a part of a line is a wrong number
         while not self._stop.is_set():
-            line: bytes = port.readline(_LONGEST_LINE)  # type: ignore[attr-defined]
+            more: bytes = port.readline(_LONGEST_LINE - len(line))  # type: ignore[attr-defined]
             t_ns = time.monotonic_ns()
-            if not self._is_line(line):
-                if time.monotonic() - heard_s > _GIVE_UP_S:
-                    raise OSError(f"no {self._silent[0]} for {_GIVE_UP_S:.0f} s; check {self._silent[1]}")
-                continue
-            heard_s = time.monotonic()
-            self._fault.clear()
-            back_off.reset()
-            self._on_line(line, t_ns)
+            whole = whole or not (more or line)  # after a silence a line begins
+            line += more
+            ended = line.endswith(b"\n")
+            if whole and ended and self._is_line(line):
+                heard_s = time.monotonic()
+                self._fault.clear()
+                back_off.reset()
+                self._on_line(line, t_ns)
+            elif time.monotonic() - heard_s > _GIVE_UP_S:
+                raise OSError(f"no {self._silent[0]} for {_GIVE_UP_S:.0f} s; check {self._silent[1]}")
+            if ended or len(line) >= _LONGEST_LINE:
+                line, whole = b"", ended  # what follows the longest line is its tail

@@ -86,3 +86,45 @@ def test_a_port_that_comes_late_and_goes(tmp_path: Path) -> None:
             os.close(master)
     finally:
         port.close()
+
+
+@pytest.mark.parametrize(
+    ("writes", "expected_m"),
+    [
+        ([b"12.3", 0.7, b"45\r\n", b"7.25\r\n"], [12.345, 7.25]),  # the bytes of a line come with a pause
+        ([b"9" * 230 + b" 3.5\n", b"7.25\n"], [7.25]),  # the tail of an endless line is no line
+    ],
+)
+def test_a_part_of_a_line_is_no_measurement(writes: list[bytes | float], expected_m: list[float]) -> None:
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    got: list[RangeReference] = []
+    port = RangePort(RecordConfig(range_device=os.ttyname(slave)), got.append)
+    port.start()
+    try:
+        time.sleep(0.8)  # open, and silent for so long that what comes begins a line
+        for what in writes:
+            time.sleep(what) if isinstance(what, float) else os.write(master, what)
+        until(lambda: len(got) >= len(expected_m))
+        assert [g.distance_m for g in got] == pytest.approx(expected_m)
+    finally:
+        port.close()
+        os.close(slave)
+        os.close(master)
+
+
+def test_a_port_that_opens_in_the_middle_of_a_line_waits_for_the_next() -> None:
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    got: list[RangeReference] = []
+    port = RangePort(RecordConfig(range_device=os.ttyname(slave)), got.append)
+    port.start()
+    try:
+        time.sleep(0.2)  # open, but nothing says that a line begins here
+        os.write(master, b"345\n12.345\n")
+        until(lambda: bool(got))
+        assert [g.distance_m for g in got] == [12.345]
+    finally:
+        port.close()
+        os.close(slave)
+        os.close(master)
