@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-
 from scenes import plate_still
 
 from tmde_edge.vision.protocols import CharacterBox, PlateCandidate, PlateReading
