@@ -64,6 +64,15 @@ class _Open:
         self.results: dict[int, FrameResult] = {}
         self.pictures = 0
 
+    def step(self, event: Event, outputs: tuple[Output, ...]) -> None:
+        """Adds a step."""
+        for output in outputs:
+            if isinstance(output, FrameResult):
+                self.moments.append(moment_of(output, self.t_ns))
+                if abs(output.t_ns - self.t_ns) < 1.5e9 * _THUMB_APART_S:
+                    self.results[output.t_ns] = output
+        self.writer.write(event, outputs)
+
     def picture(self, t_ns: int, jpeg: bytes) -> None:
         """Adds a frame, and keeps it as a picture of the report where it is the nearest to one of three moments."""
         self.writer.picture(t_ns, jpeg)
@@ -104,7 +113,7 @@ class Evidence:
         """Takes one step."""
         self._newest_ns = max(self._newest_ns, event.t_ns)
         if self._open is not None:
-            self._append(self._open, event, outputs)
+            self._try(self._open.step, event, outputs)
         self._steps.append((event, outputs))
         while self._steps and self._newest_ns - self._steps[0][0].t_ns > self._before_ns:
             self._steps.popleft()
@@ -169,28 +178,25 @@ class Evidence:
             "speed_mps": result.ego.speed_mps if result is not None and result.ego is not None else None,
             "faults": list(result.faults) if result is not None else [], "alerts": [], "complete": False,
         }  # fmt: skip
+        now: _Open | None = None
         try:
             self._make_room()
-            self._open = _Open(folder, info, t_ns, t_ns + self._after_ns, self._config, wall_ns, self._newest_ns)
+            now = _Open(folder, info, t_ns, t_ns + self._after_ns, self._config, wall_ns, self._newest_ns)
             for event, outputs in self._steps:
-                self._append(self._open, event, outputs)
+                now.step(event, outputs)
             for picture in self._pictures:
-                self._open.picture(*picture)
+                now.picture(*picture)
             for reference in self._references:
-                self._open.writer.reference(reference)
-            self._open.writer.flush()  # the seconds before are on the disk now
-            self._write_info(self._open)
+                now.writer.reference(reference)
+            now.writer.flush()  # the seconds before are on the disk now
+            self._write_info(now)
             write_config(folder, self._config)
         except OSError as error:
+            if now is not None:
+                now.writer.abandon()
             self._fail(error)
-
-    def _append(self, now: _Open, event: Event, outputs: tuple[Output, ...]) -> None:
-        for output in outputs:
-            if isinstance(output, FrameResult):
-                now.moments.append(moment_of(output, now.t_ns))
-                if abs(output.t_ns - now.t_ns) < 1.5e9 * _THUMB_APART_S:
-                    now.results[output.t_ns] = output
-        self._try(now.writer.write, event, outputs)
+            return
+        self._open = now
 
     def _finish(self, *, complete: bool) -> None:
         now, self._open = self._open, None

@@ -13,7 +13,7 @@ from recorded_drive import RATE_HZ, Drive, S
 
 from tmde_edge.app import incident as incident_module
 from tmde_edge.app import recorder as recorder_module
-from tmde_edge.app.drive_log import DriveLogReader
+from tmde_edge.app.drive_log import DriveLogReader, DriveLogWriter
 from tmde_edge.app.incident import incident_folders
 from tmde_edge.app.odometer import read_odometer
 from tmde_edge.app.recorder import keeps_evidence, make_recorder
@@ -159,6 +159,24 @@ def test_a_full_disk_is_a_problem_and_the_next_incident_works(tmp_path: Path, mo
     drive.run(1, "warning")
     drive.run(12)
     assert drive.recorder.problem is None
+
+
+def test_a_disk_that_fails_while_an_incident_begins_ends_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    drive = Drive(tmp_path)
+    drive.run(2)
+
+    def write(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as full:
+        full.setattr(DriveLogWriter, "write", write)
+        drive.run(1, "warning")
+        assert "No space left" in str(drive.recorder.problem)
+    drive.run(2)
+    drive.run(1, "warning")
+    drive.run(12)
+    assert drive.recorder.problem is None
+    assert info_of(incident_folders(tmp_path)[-1])["complete"] is True
 
 
 def test_memory_stays_bounded_in_a_flood(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
