@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 GRAB_S, LISTEN_S = 2.5, 2.0
 SLOW = 0.9  # of the wanted rate
 LATE_S = 0.15  # shutter to user space
+_SHARED = ("socketcan", "udp_multicast")  # many programs may listen; a serial adapter has one channel
 _DARK, _BRIGHT = 8.0, 247.0  # mean grey of a picture that shows nothing
 
 
@@ -157,6 +158,10 @@ def check_can(config: Config, s: Surroundings, base_dir: Path) -> Iterator[Check
     except ConfigError as error:
         yield Check("CAN signals", "fail", str(error), "")
         return
+    status = s.status()
+    if status is not None and config.can.interface not in _SHARED:  # opened again, its channel would close
+        yield _can_of_service(config, status)
+        return
     heard: list[CanFrame] = []
     port = CanPort(config.can, heard.append, (), open_pause_s=0.5)
     listen = port if not config.can.transmit else CanPort(_silent(config), heard.append, (), open_pause_s=0.5)
@@ -168,6 +173,28 @@ def check_can(config: Config, s: Surroundings, base_dir: Path) -> Iterator[Check
         yield Check("CAN traffic", "fail", f"{config.can.channel} cannot be opened", "check the adapter and its permissions")
         return
     yield from judge_traffic(heard, EgoReceiver(decoder, config.can), [f[0] for f in decoder.filters], LISTEN_S)
+
+
+def _can_of_service(config: Config, status: dict[str, Any]) -> Check:
+    """What the service has heard on an adapter that only one program can hold."""
+    from tmde_edge.app.doctor import Check
+
+    can, speed_mps = status["can"], status["speed_mps"]
+    if can is None:
+        text = f"{config.can.channel}: the service runs without CAN"
+        return Check("CAN traffic", "warn", text, "systemctl restart tmde-edge, where the configuration is newer than it")
+    text = f"{can['name']} (held by the service): {can['received']} frames received, {can['sent']} sent"
+    if can["connected"] is False:
+        return Check("CAN traffic", "fail", f"{text}; it cannot be opened", "check the adapter and its permissions")
+    if can["faults"]:
+        return Check("CAN traffic", "fail", f"{text}; {', '.join(can['faults'])}", "see the journal: journalctl -u tmde-edge")
+    if not can["received"]:
+        fix = "ignition on? H and L right? the bit rate of the bus?"
+        return Check("CAN traffic", "fail", f"{text}; nothing heard", fix)
+    if speed_mps is None:
+        fix = "[can.vehicle]; message, signal and checksum rule; more with the service stopped"
+        return Check("CAN traffic", "warn", f"{text}; no speed", fix)
+    return Check("CAN traffic", "ok", f"{text}, {3.6 * speed_mps:.1f} km/h")
 
 
 def _silent(config: Config) -> Any:

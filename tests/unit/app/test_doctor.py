@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
+import pty
+import select
+import tty
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -248,6 +252,29 @@ def test_where_the_service_runs_it_is_asked(tmp_path: Path) -> None:
     assert states([*doctor.check_service(Config(), s)]) == {"service": "warn"}
     (check,) = doctor_devices.check_camera(Config(), s, tmp_path)
     assert check.state == "fail"
+
+
+@pytest.mark.parametrize(
+    ("can", "speed_mps", "state", "piece"),
+    [({}, 12.5, "ok", "900 frames received, 40 sent, 45.0 km/h"), ({}, None, "warn", "no speed"),
+     ({"received": 0}, None, "fail", "nothing heard"), ({"faults": ["can_tx"]}, 12.5, "fail", "can_tx"),
+     ({"connected": False}, None, "fail", "cannot be opened"), (None, None, "warn", "runs without CAN")],
+)  # fmt: skip
+def test_a_serial_adapter_that_the_service_holds_is_not_opened(
+    tmp_path: Path, can: dict[str, Any] | None, speed_mps: float | None, state: str, piece: str
+) -> None:
+    master, slave = pty.openpty()
+    try:
+        tty.setraw(slave)
+        settings = replace(CanSettings(), interface="slcan", channel=os.ttyname(slave))
+        whole = {"name": "slcan x", "connected": True, "faults": [], "received": 900, "sent": 40}
+        status = {"can": None if can is None else {**whole, **can}, "speed_mps": speed_mps}
+        (check,) = doctor_devices.check_can(replace(Config(), can=settings), around(tmp_path, status=lambda: status), tmp_path)
+        assert (check.name, check.state, piece in check.text) == ("CAN traffic", state, True), check.line()
+        assert select.select([master], [], [], 0)[0] == []  # a command would close the service's channel
+    finally:
+        os.close(master)
+        os.close(slave)
 
 
 def test_the_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
