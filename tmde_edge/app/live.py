@@ -67,8 +67,8 @@ class BusPort(Protocol):
 class Outlet(Protocol):
     """Where the records go: local programs (app/publish.py), the web page (app/view)."""
 
-    def frame(self, result: FrameResult, sighting: Sighting) -> None:
-        """One decided frame; never blocks."""
+    def frame(self, result: FrameResult, sighting: Sighting | None) -> None:
+        """What was decided for a frame, or (`sighting` None) that none came; never blocks."""
         ...
 
     def service(self, values: dict[str, Any]) -> None:
@@ -229,9 +229,8 @@ class LiveLoop:
                 self._last = output
                 if self._on_alert is not None:
                     self._on_alert(output.alert)
-                if isinstance(event, Sighting):
-                    for outlet in self._outlets:
-                        outlet.frame(output, event)
+                for outlet in self._outlets:
+                    outlet.frame(output, event if isinstance(event, Sighting) else None)
                 for listener in self._on_result:
                     listener(output)
         if self._log_to is not None:

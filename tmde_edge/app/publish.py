@@ -53,7 +53,7 @@ class Publisher:
         """Listens at `path`. Raises DeviceError where that cannot be."""
         self.path = path
         self.dropped_readers = 0
-        self._queue: deque[tuple[FrameResult, Sighting] | dict[str, Any]] = deque(maxlen=_QUEUE)
+        self._queue: deque[tuple[FrameResult, Sighting | None] | dict[str, Any]] = deque(maxlen=_QUEUE)
         self._readers: dict[socket.socket, bytearray] = {}
         self._encoder = msgspec.json.Encoder()
         self._server = _listen(path)
@@ -73,8 +73,8 @@ class Publisher:
         """How many read at the moment."""
         return len(self._readers)
 
-    def frame(self, result: FrameResult, sighting: Sighting) -> None:
-        """One decided frame, as a record of the contract. Returns at once; costs nothing while nobody reads."""
+    def frame(self, result: FrameResult, sighting: Sighting | None) -> None:
+        """A frame (or that none came) as a record of the contract. Returns at once; costs nothing while nobody reads."""
         self._put((result, sighting))
 
     def service(self, values: dict[str, Any]) -> None:
@@ -93,7 +93,7 @@ class Publisher:
             if self.path.stat().st_ino == self._inode:
                 self.path.unlink()
 
-    def _put(self, item: tuple[FrameResult, Sighting] | dict[str, Any]) -> None:
+    def _put(self, item: tuple[FrameResult, Sighting | None] | dict[str, Any]) -> None:
         if self._readers:
             self._queue.append(item)
             self._wake()
@@ -140,7 +140,7 @@ class Publisher:
                 pass
         while self._queue:
             item = self._queue.popleft()
-            record = item if isinstance(item, dict) else frame_record(*item, item[1].timing_ms)
+            record = item if isinstance(item, dict) else frame_record(*item, item[1].timing_ms if item[1] is not None else {})
             line = self._encoder.encode(record) + b"\n"
             for reader, waiting in list(self._readers.items()):
                 if len(waiting) + len(line) > READER_BYTES:

@@ -69,8 +69,8 @@ def lead_record(lead: LeadEstimate | None) -> Record | None:
     }
 
 
-def frame_record(result: FrameResult, sighting: Sighting, timing_ms: dict[str, float]) -> Record:
-    """One line of --dry-run."""
+def frame_record(result: FrameResult, sighting: Sighting | None, timing_ms: dict[str, float]) -> Record:
+    """One line of --dry-run; `sighting` None: no frame came, what is decided is decided blind."""
     ego, pose, depth = result.ego, result.pose, result.depth
     return {
         "frame": result.frame_index,
@@ -94,7 +94,7 @@ def frame_record(result: FrameResult, sighting: Sighting, timing_ms: dict[str, f
             "ttc_s": _number(result.alert.ttc_s, 4),
         },
         "faults": list(result.faults),
-        "status": sighting.status,
+        "status": sighting.status if sighting is not None else "blind",
         "mode": result.mode,
         "timing_ms": {k: _number(v, 3) for k, v in timing_ms.items()},
     }

@@ -23,6 +23,8 @@ from tmde_edge.app.board import BoardState
 from tmde_edge.app.live import LiveLoop
 from tmde_edge.app.sdnotify import Notifier
 from tmde_edge.app.shedding import Shedder
+from tmde_edge.app.wiring import build_estimation
+from tmde_edge.config import load
 from tmde_edge.messages import Alert, CanFrame, Event, Frame, FrameResult, Output, Pose, RangeReference, Sighting, Tick
 
 FRAMES = 12
@@ -407,10 +409,12 @@ class Outlet:
 
     def __init__(self) -> None:
         self.frames: list[int] = []
+        self.blind = 0
         self.services: list[dict[str, Any]] = []
 
-    def frame(self, result: FrameResult, sighting: Sighting) -> None:
-        assert result.t_ns == sighting.t_ns
+    def frame(self, result: FrameResult, sighting: Sighting | None) -> None:
+        assert sighting is None or result.t_ns == sighting.t_ns
+        self.blind += sighting is None
         self.frames.append(result.frame_index)
 
     def service(self, values: dict[str, Any]) -> None:
@@ -425,6 +429,23 @@ def test_every_result_is_published_and_every_alert_told(recording: Path) -> None
     assert [a.level for a in alerts[:5]] == ["none"] * 4 + ["warning"]
     assert outlet.services
     assert {"sightings", "skipped", "status", "faults"} <= outlet.services[0].keys()
+
+
+def test_that_no_frames_come_any_more_is_published(recording: Path) -> None:
+    class Gone(PlayedFile):
+        reads = 0
+
+        def read(self, timeout_s: float) -> Captured | None:
+            if self.reads == 3:
+                time.sleep(timeout_s)
+                return None
+            self.reads += 1
+            return super().read(timeout_s)
+
+    outlet = Outlet()
+    estimation = build_estimation(load(None, ["can.enabled=false"]), recording)
+    stopped_after(LiveLoop(Gone(str(recording), fps=RATE_HZ), see, estimation, outlets=[outlet]), 1.2)
+    assert outlet.blind >= 4
 
 
 def test_status_in_words(recording: Path) -> None:

@@ -97,8 +97,8 @@ class Hub:
             while len(self._frames) > KEPT_FRAMES:
                 del self._frames[min(self._frames)]
 
-    def frame(self, result: FrameResult, sighting: Sighting) -> None:
-        """What was decided for a frame. Returns at once."""
+    def frame(self, result: FrameResult, sighting: Sighting | None) -> None:
+        """What was decided for a frame, or (`sighting` None) that none came. Returns at once."""
         lead = result.lead
         values = (lead.distance_m, lead.sigma_m, lead.range_rate_mps, lead.ttc_s) if lead is not None else (None,) * 4
         self._remember(result.t_ns * 1e-9, values, result.alert.level)
@@ -204,8 +204,8 @@ class Hub:
                 self.jpeg = data.tobytes()
                 self.picture_number += 1
             self._judge(frame.image, result)
-        if sighting is not None:
-            self._publish({"record": frame_record(result, sighting, sighting.timing_ms), "aim": self._aim})
+        timing_ms = sighting.timing_ms if sighting is not None else {}
+        self._publish({"record": frame_record(result, sighting, timing_ms), "aim": self._aim})
 
     def _judge(self, image: NDArray[np.uint8], result: FrameResult) -> None:
         """The aiming aid, at its own low rate."""

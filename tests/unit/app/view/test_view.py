@@ -9,6 +9,7 @@ import threading
 import time
 import urllib.request
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -160,6 +161,20 @@ def test_nothing_is_drawn_or_kept_while_nobody_watches() -> None:
     assert not watched._frames
     assert len(watched.history()) == pytest.approx(100 / 3, abs=2)  # ten a second
     watched.close()
+
+
+def test_a_warning_does_not_stay_on_the_page_when_the_camera_is_gone() -> None:
+    shown = hub()
+    shown.start()
+    shown.watch(picture=False, change=1)
+    shown.frame(result(1, level="warning"), sighting(1))
+    assert until(lambda: shown.state.get("record", {}).get("alert", {}).get("level") == "warning")
+    shown.frame(replace(result(40), lead=None, faults=("camera_lost", "blind")), None)
+    shown.service({"faults": ["camera_lost", "blind"]})
+    assert until(lambda: shown.state["record"]["alert"]["level"] == "none")
+    record = shown.state["record"]
+    assert (record["lead"], record["status"], record["faults"]) == (None, "blind", ["camera_lost", "blind"])
+    shown.close()
 
 
 def test_history_is_the_last_minute_and_starts_anew_with_the_recording() -> None:

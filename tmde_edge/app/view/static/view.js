@@ -2,7 +2,7 @@
 // Numbers come as server-sent events, the picture as an MJPEG <img>; both stop while nobody looks at the tab.
 const LONGEST_S = 60, SHORTEST_S = 15, STALE_MS = 3000;
 const at = (id) => document.getElementById(id);
-let stream = null, points = [], limits = {}, heard = 0, drawn = 0, times = [];
+let stream = null, points = [], limits = {}, heard = 0, blind = false, drawn = 0, times = [];
 
 const put = (id, text) => { const e = at(id); if (e.textContent !== text) e.textContent = text; };
 const number = (v, digits, unit) => (v === null || v === undefined ? "–" : v.toFixed(digits) + unit);
@@ -27,6 +27,7 @@ function show(state) {
   put("faults", faults.size ? [...faults].join(", ") : "none");
   at("faults").className = faults.size ? "some" : "";
   put("status", service.status || "");
+  blind = faults.has("blind") || [...faults].some((f) => f.startsWith("camera_"));
   if (!record) return;
   const lead = record.lead, level = record.alert.level;
   put("distance", lead && lead.distance_m !== null ? lead.distance_m.toFixed(1) + " m" : "–");
@@ -35,8 +36,8 @@ function show(state) {
   put("rate", lead ? number(lead.range_rate_mps, 1, " m/s") : "–");
   put("headway", lead ? number(lead.headway_s, 1, " s") : "–");
   put("speed", record.ego ? number(record.ego.speed_mps * 3.6, 0, " km/h") : "–");
-  at("banner").className = level === "none" ? "ok" : level;
-  put("alert", level === "none" ? "no alert" : level.toUpperCase() + (record.alert.reason ? " (" + record.alert.reason + ")" : ""));
+  at("banner").className = level !== "none" ? level : blind ? "none" : "ok";
+  put("alert", level === "none" ? (blind ? "no picture" : "no alert") : level.toUpperCase() + (record.alert.reason ? " (" + record.alert.reason + ")" : ""));
   if (record.t !== drawn) {
     if (record.t < drawn) points = [];
     drawn = record.t;
@@ -171,7 +172,7 @@ document.addEventListener("visibilitychange", () => {
 addEventListener("resize", charts);
 setInterval(() => {
   const stale = Date.now() - heard > STALE_MS;
-  at("video").classList.toggle("stale", stale);
+  at("video").classList.toggle("stale", stale || blind);
   if (stale) { at("banner").className = "none"; put("alert", heard ? "no news" : "connecting"); }
 }, 1000);
 connect();
