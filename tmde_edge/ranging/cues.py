@@ -90,7 +90,7 @@ def char_spacing(features: Features, standard: PlateStandard, settings: RangingS
         centres = (features.left[run] + features.right[run]) / 2
         steps += np.sqrt(np.sum(np.diff(centres, axis=0) ** 2, axis=1)).tolist()
     length = float(np.mean(steps)) if steps else features.spacing
-    if length is None:
+    if length is None or length <= 0:  # glyphs one on the other have no spacing
         return None
     places = max(len(steps), 1)
     jitter = settings.pitch_jitter_mm / belief[0] * length

@@ -189,6 +189,15 @@ def test_nothing_but_nan_gives_a_reason_not_a_nan() -> None:
     assert reason
 
 
+@pytest.mark.parametrize("method", ["joint", "paper"])
+def test_characters_found_twice_on_one_place_have_no_spacing(method: str) -> None:
+    plate = sighting(STANDARDS["de-mittel"], distance_m=5.0)
+    twice = replace(plate, glyphs=(plate.glyphs[0],) * 2)
+    measured = ranged(ranger("de", method=method), twice)
+    assert "char_spacing" not in {c.cue for c in measured.cues}
+    assert measured.distance_m == pytest.approx(5.0, rel=0.05)
+
+
 @pytest.mark.parametrize("fusion", [True, False])
 def test_the_papers_method(fusion: bool) -> None:
     plate = replace(sighting(STANDARDS["gb-2001"], distance_m=5.0), stroke_px=14 * 0.28, border_px=1.0)
