@@ -310,7 +310,7 @@ class Estimation:
         if track is None:
             return None
         f, cov = track.filter, track.filter.covariance
-        gap_m, rate_mps = f.distance_m - self._bumper_m(), f.range_rate_mps
+        gap_m, rate_mps = self._gap_m(f.distance_m), f.range_rate_mps
         speed = self._ego.speed_mps if self._ego is not None else None
         ego_sigma = self._ego.speed_sigma_mps if self._ego is not None else 0.0
         metric = self._p.camera is not None
@@ -332,8 +332,9 @@ class Estimation:
             accel_mps2=f.accel_mps2 if metric else None,
         )
 
-    def _bumper_m(self) -> float:
-        return self._p.to_bumper_m if self._p.camera is not None else 0.0
+    def _gap_m(self, distance_m: float) -> float:
+        """From the own bumper, 0 at the least; without calibration there is no bumper in these metres."""
+        return max(distance_m - (self._p.to_bumper_m if self._p.camera is not None else 0.0), 0.0)
 
     def _situation(self, t_ns: int, lead: LeadEstimate | None) -> Situation:
         ego = self._ego
@@ -342,7 +343,7 @@ class Estimation:
         if lead is None or track is None or not self._tracker.known_without_depth(track, t_ns):
             return Situation(t_ns=t_ns, ego_speed_mps=ego.speed_mps if ego is not None else None, turn_signal=turn)
         f = track.evidence
-        gap_m = f.distance_m - self._bumper_m()
+        gap_m = self._gap_m(f.distance_m)
         metric = self._p.camera is not None
         # The lead's braking counts as far as it stands out of its noise.
         accel = min(0.0, f.accel_mps2)

@@ -173,6 +173,20 @@ def test_headway_and_lost_can() -> None:
     assert last.ego is None
 
 
+def test_headway_ends_at_the_own_bumper() -> None:
+    """A plate measured a little nearer than the bumper is at no distance, not behind it."""
+    e = make(*CALIBRATED, *VEHICLE, "camera.to_bumper_m=2.0")
+    told = []
+    for k in range(60):
+        e.step(speed_frame(k / 30, 5.0))
+        told.append(result_of(e.step(sighting(k, plate(2.5 - 0.6 * k / 60, noise_px=0.05, seed=k)))))
+    headways = [r.lead.headway_s for r in told if r.lead is not None and r.lead.headway_s is not None]
+    assert min(headways) == 0.0
+    assert told[-1].lead is not None
+    assert told[-1].lead.distance_m is not None
+    assert told[-1].lead.distance_m < 2.0
+
+
 def test_own_braking_is_not_the_lead_fleeing() -> None:
     """With CAN the braking counts at once; the lead at constant 10 m/s keeps its speed in the estimate."""
     e = make(*CALIBRATED, *VEHICLE)
