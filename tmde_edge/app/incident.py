@@ -22,6 +22,7 @@ import numpy as np
 
 from tmde_edge import __version__
 from tmde_edge.app.drive_log import DriveLogWriter, Json, Part
+from tmde_edge.app.odometer import write_verdict
 from tmde_edge.app.overlay import draw
 from tmde_edge.app.records import lead_record
 from tmde_edge.app.ring import free_mb, utc_name
@@ -49,6 +50,12 @@ def incident_folders(folder: Path) -> list[Path]:
     except FileNotFoundError:
         return []
     return sorted(found, key=lambda p: p.name)
+
+
+def warnings_of(info: Json) -> int:
+    """How many warnings an incident holds; those that followed one another are all counted."""
+    levels = [info.get("level"), *(a.get("level") for a in info.get("alerts") or [])]
+    return levels.count("warning")
 
 
 class _Open:
@@ -204,6 +211,7 @@ class Evidence:
             return
         try:
             now.info |= {"complete": complete, "frames": now.pictures, **judge(now.moments)}
+            write_verdict(self._root, now.folder.name, now.info["verdict"], warnings_of(now.info), self._wall_ns())
             for name, (t_ns, jpeg) in now.thumbs.items():
                 (now.folder / f"{name}.jpg").write_bytes(_thumbnail(jpeg, now.results.get(t_ns)))
             now.writer.close()

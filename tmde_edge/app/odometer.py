@@ -1,4 +1,7 @@
-"""How far and how long it watched, and what it said: one line a minute in `odometer.jsonl`, the basis of every rate."""
+"""How far and how long it watched, what it said, what the driver did then: `odometer.jsonl`, the basis of every rate.
+
+A line a minute holds sums (`Watched`), a line an incident its verdict: that stays when the incident's folder had to make room.
+"""
 
 from __future__ import annotations
 
@@ -100,13 +103,7 @@ class Odometer:
             "blind_s": round(s.blind_s, 3), "lead_s": round(s.lead_s, 3), "alerts": s.alerts,
         }  # fmt: skip
         try:
-            self._folder.mkdir(parents=True, exist_ok=True)
-            with (self._folder / NAME).open("a", encoding="utf-8") as f:
-                if f.tell() and not _ends_with_newline(self._folder / NAME):
-                    f.write("\n")  # the last line was torn by a power cut
-                f.write(json.dumps(line, separators=(",", ":")) + "\n")
-                f.flush()
-                os.fsync(f.fileno())
+            _append(self._folder, line)
         except OSError as error:
             if self.problem is None:
                 _log.error("the odometer cannot be written (%s)", error)
@@ -116,8 +113,34 @@ class Odometer:
         self._sum = Watched()
 
 
+def write_verdict(folder: Path, incident: str, verdict: str, warnings: int, wall_ns: int) -> None:
+    """Appends what was judged of an incident, and of how many warnings. Raises OSError."""
+    _append(folder, {"time": utc_name(wall_ns), "incident": incident, "verdict": verdict, "warnings": warnings})
+
+
+def read_verdicts(folder: Path) -> dict[str, tuple[str, int]]:
+    """Verdict and number of warnings of every incident that was judged, kept or not, by its name."""
+    found = {}
+    for values in _lines(folder):
+        try:
+            found[str(values["incident"])] = str(values["verdict"]), int(values["warnings"])
+        except (ValueError, KeyError, TypeError):
+            continue
+    return found
+
+
 def read_odometer(folder: Path) -> Iterator[tuple[dict[str, Any], Watched]]:
-    """Every readable line with its sums; torn lines are left out."""
+    """Every readable line of sums; torn lines are left out."""
+    for values in _lines(folder):
+        try:
+            sums = {k: float(values[k]) for k in ("watched_s", "moving_s", "speed_known_s", "distance_m", "blind_s", "lead_s")}
+            alerts = {str(k): int(n) for k, n in values["alerts"].items()}
+        except (ValueError, KeyError, TypeError, AttributeError):
+            continue
+        yield values, Watched(**sums, alerts=alerts)
+
+
+def _lines(folder: Path) -> Iterator[dict[str, Any]]:
     try:
         text = (folder / NAME).read_text(encoding="utf-8", errors="replace")
     except FileNotFoundError:
@@ -125,11 +148,20 @@ def read_odometer(folder: Path) -> Iterator[tuple[dict[str, Any], Watched]]:
     for line in text.splitlines():
         try:
             values = json.loads(line)
-            sums = {k: float(values[k]) for k in ("watched_s", "moving_s", "speed_known_s", "distance_m", "blind_s", "lead_s")}
-            alerts = {str(k): int(n) for k, n in values["alerts"].items()}
-        except (ValueError, KeyError, TypeError, AttributeError):
+        except ValueError:
             continue
-        yield values, Watched(**sums, alerts=alerts)
+        if isinstance(values, dict):
+            yield values
+
+
+def _append(folder: Path, line: dict[str, Any]) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / NAME).open("a", encoding="utf-8") as f:
+        if f.tell() and not _ends_with_newline(folder / NAME):
+            f.write("\n")  # the last line was torn by a power cut
+        f.write(json.dumps(line, separators=(",", ":")) + "\n")
+        f.flush()
+        os.fsync(f.fileno())
 
 
 def _rank(level: str) -> int:

@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from tmde_edge.app.incident import incident_folders
-from tmde_edge.app.odometer import Watched, read_odometer
+from tmde_edge.app.incident import incident_folders, warnings_of
+from tmde_edge.app.odometer import Watched, read_odometer, read_verdicts
 from tmde_edge.errors import InputMissingError
 
 Json = dict[str, Any]
@@ -30,16 +30,17 @@ class ShadowReport:
     folder: Path
     watched: Watched = field(default_factory=Watched)
     incidents: list[tuple[Path, Json]] = field(default_factory=list)
+    judged: dict[str, tuple[str, int]] = field(default_factory=dict)  # verdict and warnings by incident, kept or not
 
     @property
     def candidates(self) -> int:
         """Warnings that the driver did not answer; those that followed one another in one incident are all counted."""
-        return sum(_warnings(i) for _, i in self.incidents if i.get("verdict") == "candidate")
+        return sum(warnings for verdict, warnings in self.judged.values() if verdict == "candidate")
 
-
-def _warnings(info: Json) -> int:
-    levels = [info.get("level"), *(a.get("level") for a in info.get("alerts") or [])]
-    return levels.count("warning")
+    @property
+    def not_judged(self) -> int:
+        """Warnings of which nobody knows what the driver did: a power cut, a full disk, an incident of an old version."""
+        return max(self.watched.began("warning") - sum(warnings for _, warnings in self.judged.values()), 0)
 
 
 def read_shadow(folder: Path) -> ShadowReport:
@@ -56,6 +57,9 @@ def read_shadow(folder: Path) -> ShadowReport:
             info = {"level": path.name.rsplit("-", 1)[-1], "time": path.name[7:23], "complete": False}
         if isinstance(info, dict):
             report.incidents.append((path, info))
+            if info.get("verdict"):
+                report.judged[path.name] = info["verdict"], warnings_of(info)
+    report.judged |= read_verdicts(folder)
     if report.watched.watched_s == 0 and not report.incidents:
         raise InputMissingError(f"{folder}: nothing was watched yet; set record.shadow = true and let the service run")
     return report
@@ -71,6 +75,22 @@ def rate(count: int, exposure: float) -> Json | None:
     return {"rate": round(count / exposure, 4), "low": round(low / exposure, 4), "high": round(high / exposure, 4)}
 
 
+def _candidates(report: ShadowReport, exposure: float) -> Json | None:
+    """As `rate`; where warnings were not judged no rate, and an interval from none of them counted to all."""
+    least, most = rate(report.candidates, exposure), rate(report.candidates + report.not_judged, exposure)
+    if least is None or most is None or report.not_judged == 0:
+        return least
+    return {"rate": None, "low": least["low"], "high": most["high"]}
+
+
+def _rates(report: ShadowReport, exposure: float) -> dict[str, Json | None]:
+    w = report.watched
+    return {
+        "cautions": rate(w.began("caution"), exposure), "warnings": rate(w.began("warning"), exposure),
+        "false_alarm_candidates": _candidates(report, exposure),
+    }  # fmt: skip
+
+
 def as_json(report: ShadowReport) -> Json:
     """Everything as one object."""
     w = report.watched
@@ -84,9 +104,8 @@ def as_json(report: ShadowReport) -> Json:
         "speed_known": round(w.speed_known_s / w.watched_s, 4) if w.watched_s else None,
         "blind": round(w.blind_s / w.watched_s, 4) if w.watched_s else None,
         "with_lead": round(w.lead_s / w.watched_s, 4) if w.watched_s else None,
-        "counts": counts, "by_reason": dict(sorted(w.alerts.items())),
-        "per_100_km": {name: rate(n, hundred_km) for name, n in counts.items()},
-        "per_hour": {name: rate(n, hours) for name, n in counts.items()},
+        "counts": counts, "warnings_not_judged": report.not_judged, "by_reason": dict(sorted(w.alerts.items())),
+        "per_100_km": _rates(report, hundred_km), "per_hour": _rates(report, hours),
         "incidents": [{"folder": path.name, **{k: info.get(k) for k in _FIELDS}} for path, info in report.incidents],
     }  # fmt: skip
 
@@ -103,6 +122,8 @@ def lines_of(report: ShadowReport) -> list[str]:
     for name, text in (("warnings", "warnings"), ("false_alarm_candidates", "  not answered"), ("cautions", "cautions")):
         rates = f"per 100 km {_rate(j['per_100_km'][name])}   per hour {_rate(j['per_hour'][name])}"
         out.append(f"{text:15} {j['counts'][name]:5}   {rates}")
+    if report.not_judged:
+        out.append(_missing(report))
     for path, info in report.incidents:
         ttc = f"TTC {info['ttc_s']:.1f} s" if isinstance(info.get("ttc_s"), (int, float)) else ""
         why = "; ".join(info.get("why") or [])
@@ -125,7 +146,7 @@ def write_html(report: ShadowReport, path: Path) -> None:
         _PAGE.format(
             folder=html.escape(str(report.folder)), hours=f"{j['hours']:.2f}", moving=f"{j['moving_hours']:.2f}",
             km=f"{j['distance_km']:.1f}", blind=_percent(j["blind"]), lead=_percent(j["with_lead"]), rows=rows, reasons=reasons,
-            cards=cards or "<p>No warning left evidence.",
+            missing=f"<p>{_missing(report)}." if report.not_judged else "", cards=cards or "<p>No warning left evidence.",
         ),
         encoding="utf-8",
     )  # fmt: skip
@@ -153,8 +174,15 @@ def _card(path: Path, info: Json) -> str:
     )
 
 
+def _missing(report: ShadowReport) -> str:
+    return f"{report.not_judged} of the warnings were not judged (their seconds are lost): an interval instead of a rate"
+
+
 def _rate(value: Json | None) -> str:
-    return f"{value['rate']:.2f} ({value['low']:.2f} to {value['high']:.2f})" if value is not None else "-"
+    if value is None:
+        return "-"
+    likely = f"{value['rate']:.2f} " if value["rate"] is not None else ""
+    return f"{likely}({value['low']:.2f} to {value['high']:.2f})"
 
 
 def _percent(value: float | None) -> str:
@@ -175,5 +203,5 @@ img {{ width: 100%; height: auto; display: block }} figcaption {{ font-size: .85
 <table><tr><th><th>count<th>per 100 km (95 %)<th>per hour (95 %)</tr>{rows}</table>
 <p>By reason: {reasons}. A warning that the driver did not answer by braking is a candidate for a false alarm; whether it was one,
 the pictures show. Plates in them are unreadable on purpose.
-{cards}</html>
+{missing}{cards}</html>
 """

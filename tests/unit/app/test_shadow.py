@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import re
+import shutil
 from pathlib import Path
 
 import pytest
@@ -76,6 +77,36 @@ def test_warnings_that_follow_one_another_are_all_counted(tmp_path: Path) -> Non
     drive.run(15)
     drive.recorder.close()
     assert as_json(read_shadow(tmp_path))["counts"] == {"cautions": 0, "warnings": 3, "false_alarm_candidates": 3}
+
+
+def test_candidates_are_counted_when_their_folders_made_room(tmp_path: Path) -> None:
+    drive = Drive(tmp_path, incidents_max_mb=0.0)
+    for _ in range(4):
+        drive.run(1, "warning")
+        drive.run(12)
+    drive.recorder.close()
+    assert len(incident_folders(tmp_path)) == 1
+    j = as_json(read_shadow(tmp_path))
+    assert (j["counts"]["warnings"], j["counts"]["false_alarm_candidates"], j["warnings_not_judged"]) == (4, 4, 0)
+    assert j["per_100_km"]["false_alarm_candidates"] == j["per_100_km"]["warnings"]
+
+
+def test_where_warnings_were_not_judged_there_is_no_rate_that_looks_good(driven: Path) -> None:
+    odometer = driven / "odometer.jsonl"
+    odometer.write_text("".join(line + "\n" for line in odometer.read_text().splitlines() if "verdict" not in line))
+    _, candidate = incident_folders(driven)
+    assert as_json(read_shadow(driven))["warnings_not_judged"] == 0  # as an older version left it: the folders still tell
+    shutil.rmtree(candidate)
+    report = read_shadow(driven)
+    j = as_json(report)
+    assert (j["counts"]["false_alarm_candidates"], j["warnings_not_judged"]) == (0, 1)
+    found = j["per_100_km"]["false_alarm_candidates"]
+    assert found["rate"] is None
+    assert found["low"] == 0.0
+    assert found["high"] == pytest.approx(5.57 / j["distance_km"] * 100, rel=0.01)  # the exact 95 % limit for one event
+    assert any("1 of the warnings were not judged" in line for line in lines_of(report))
+    write_html(report, driven / "x.html")
+    assert "1 of the warnings were not judged" in (driven / "x.html").read_text()
 
 
 def test_a_torn_incident_spoils_no_report(driven: Path) -> None:
