@@ -2,7 +2,8 @@
 
     frames/000000.jpg ...   frames.csv (file, seconds)   can.log (candump)   decisions.jsonl   config.toml   truth.csv
 
-`tmde-edge --dry-run FOLDER/frames --can-log FOLDER/can.log -c FOLDER/config.toml` runs on it.
+`tmde-edge --dry-run FOLDER/frames --can-log FOLDER/can.log -c FOLDER/config.toml` runs on it, each frame at the
+time that frames.csv says.
 """
 
 from __future__ import annotations

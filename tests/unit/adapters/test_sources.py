@@ -54,6 +54,29 @@ def test_a_folder_is_read_in_name_order_and_other_files_are_skipped(tmp_path: Pa
     assert [(f.index, f.t_ns) for f in source] == [(0, 0), (1, 100_000_000), (2, 200_000_000)]
 
 
+@pytest.mark.parametrize("beside", [False, True])
+def test_frames_csv_says_when_each_image_was_taken(tmp_path: Path, beside: bool) -> None:
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    write_images(folder, ["a.png", "b.png", "c.png"])
+    table = (folder.parent if beside else folder) / "frames.csv"
+    table.write_text("file,t_s\na.png,170.1\nb.png,170.22\nc.png,170.5\n")
+    for spec in (str(folder), f"{folder}/*.png"):
+        assert [f.t_ns for f in open_source(spec, fps=10)] == [0, 120_000_000, 400_000_000]
+    (folder / "a.png").unlink()  # the others keep their place on the CAN log's time
+    assert [f.t_ns for f in open_source(str(folder))] == [120_000_000, 400_000_000]
+    table.write_text("number,exposure\n1,2\n")  # someone else's table
+    assert [f.t_ns for f in open_source(str(folder), fps=10)] == [0, 100_000_000]
+
+
+@pytest.mark.parametrize("lines", ["b.png,1\n", "a.png,1\nb.png,1\n", "a.png,1\nb.png,nan\n", "a.png,1\nb.png\n"])
+def test_a_frames_csv_that_gives_no_times_is_an_error(tmp_path: Path, lines: str) -> None:
+    write_images(tmp_path, ["a.png", "b.png"])
+    (tmp_path / "frames.csv").write_text("file,t_s\n" + lines)
+    with pytest.raises(InputDataError, match=r"frames\.csv: .*(correct|remove)"):
+        open_source(str(tmp_path))
+
+
 def test_an_unreadable_image_is_an_error_in_its_place(tmp_path: Path) -> None:
     write_images(tmp_path, ["a.png", "c.png"])
     (tmp_path / "b.png").write_bytes(b"\x89PNG\r\n\x1a\nnothing")

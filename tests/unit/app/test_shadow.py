@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from recorded_drive import Drive, S
 
+from tmde_edge.adapters.cameras.sources import open_source
 from tmde_edge.app import incidents
 from tmde_edge.app.incident import incident_folders
 from tmde_edge.app.shadow import as_json, lines_of, rate, read_shadow, write_html
@@ -141,6 +142,10 @@ def test_the_last_alert_of_the_ring_as_plain_files(driven: Path, tmp_path: Path)
     assert lines[0].startswith("(0000000000.000000) mark 7FF#")
     assert len(lines) == pytest.approx(400, abs=10)
     assert load(made.out / "config.toml").camera.fx_px == 800
+    frames, decided = list(open_source(str(made.out / "frames"))), (made.out / "decisions.jsonl").read_text().splitlines()
+    decided_s = [t for t in (json.loads(line)["t"] for line in decided) if t >= 0]
+    assert {round(f.t_ns / S, 2) for f in frames} <= {round(t, 2) for t in decided_s}  # one time for both
+    assert frames[-1].t_ns / S > 19
     with pytest.raises(UsageError, match="not empty"):
         incidents.take_out(driven, out=tmp_path / "out", at=None, kept=None, before_s=10, after_s=10)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import glob
 import math
 import re
@@ -20,6 +21,7 @@ from tmde_edge.messages import Frame
 
 _SUFFIXES = "avif bmp dib jp2 jpe jpeg jpg pbm pgm png pnm ppm ras sr tif tiff webp"
 IMAGE_SUFFIXES = frozenset(f".{suffix}" for suffix in _SUFFIXES.split())
+_TIMES = "frames.csv"
 SourceItem: TypeAlias = "Frame | SourceError"
 
 
@@ -43,11 +45,12 @@ class FrameSource(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class ImageSequence:
-    """Image files at a fixed rate; an unreadable one becomes a SourceError in its place."""
+    """Image files at the times of their frames.csv, else at a fixed rate; an unreadable one becomes a SourceError."""
 
     name: str
     paths: tuple[Path, ...]
     fps: float
+    times_ns: tuple[int, ...] | None = None  # of each path, increasing
 
     @property
     def frame_count(self) -> int | None:
@@ -56,7 +59,7 @@ class ImageSequence:
     def __iter__(self) -> Iterator[SourceItem]:
         readable = False
         for index, path in enumerate(self.paths):
-            t_ns = round(index * 1e9 / self.fps)
+            t_ns = self.times_ns[index] if self.times_ns is not None else round(index * 1e9 / self.fps)
             image = read_image(path)
             if isinstance(image, str):
                 yield SourceError(index=index, t_ns=t_ns, message=image)
@@ -87,8 +90,9 @@ def read_image(path: Path) -> NDArray[np.uint8] | str:
 def open_source(spec: str, fps: float = 30.0, *, threads: int = 1) -> FrameSource:
     """The recording that `spec` names: an existing file or folder wins, then a printf pattern, then a glob.
 
-    `fps` times images, and videos that carry neither time stamps nor a rate. `threads` bounds the video decoder.
-    Raises InputMissingError (nothing there, no image in it), InputDataError (not a readable video), UsageError (fps).
+    `fps` times images without a frames.csv (columns file, t_s; among the images, or beside their folder where that is named
+    frames), and videos that carry neither time stamps nor a rate. `threads` bounds the video decoder.
+    Raises InputMissingError (nothing there, no image in it), InputDataError (no readable video, no such times), UsageError (fps).
     """
     if not (math.isfinite(fps) and 0.0 < fps <= 1e6):
         raise UsageError(f"--fps {fps:g}: give a rate in frames per second, greater than 0")
@@ -116,7 +120,40 @@ def _sequence(spec: str, candidates: list[Path], fps: float, missing: str) -> Im
     paths = tuple(p for p in candidates if _is_image_name(p))
     if not paths:
         raise InputMissingError(f"{missing} (known kinds: {' '.join(sorted(IMAGE_SUFFIXES))})")
-    return ImageSequence(spec, paths, fps)
+    return ImageSequence(spec, paths, fps, _times_ns(paths))
+
+
+def _times_ns(paths: tuple[Path, ...]) -> tuple[int, ...] | None:
+    """When each image was taken, by the frames.csv of its folder (`tmde-edge incident` writes one); None where there is none.
+
+    Time zero is the first line's, so that a CAN log beside it fits even where the first images are gone. Raises InputDataError.
+    """
+    folder = paths[0].parent
+    places = [folder / _TIMES, *([folder.parent / _TIMES] if folder.name == "frames" else [])]
+    table = next((place for place in places if place.is_file()), None)
+    if table is None:
+        return None
+    times_s: dict[str, float] = {}
+    try:
+        with table.open(newline="", encoding="utf-8-sig") as f:
+            rows = csv.DictReader(f)
+            if not {"file", "t_s"} <= set(rows.fieldnames or ()):
+                return None  # someone else's
+            for row in rows:
+                times_s[row["file"]] = t_s = float(row["t_s"])
+                if not math.isfinite(t_s):
+                    raise ValueError(f"t_s {t_s} is no time")
+    except (OSError, ValueError, TypeError, csv.Error) as error:
+        raise InputDataError(f"{table}: cannot be read as columns file, t_s ({error}); correct or remove it") from None
+    missing = next((path.name for path in paths if path.name not in times_s), None)
+    if missing is not None:
+        raise InputDataError(f"{table}: says no time of {missing}; add its line, or remove the table to use --fps")
+    zero_s = next(iter(times_s.values()))
+    times_ns = tuple(round((times_s[path.name] - zero_s) * 1e9) for path in paths)
+    for path, before_ns, t_ns in zip(paths[1:], times_ns, times_ns[1:], strict=False):
+        if t_ns <= before_ns:
+            raise InputDataError(f"{table}: {path.name} is not later than the image before it; correct or remove the table")
+    return times_ns
 
 
 def _is_image_name(path: Path) -> bool:
