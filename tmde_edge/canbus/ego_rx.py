@@ -27,16 +27,20 @@ _RESYNC = 3  # this many implausible values that agree with each other are the t
 
 
 class Period:
-    """Learns the period of one message from its arrival times."""
+    """Learns how often one quantity comes: on some pages of a multiplexed message that is less often than the message."""
 
     def __init__(self, unlearned_ns: int, max_ns: int) -> None:
         self.ns = float(unlearned_ns)
         self._max_ns = max_ns
         self._seen = 0
+        self._last_ns: int | None = None
 
-    def learn(self, gap_ns: int) -> None:
-        """One gap between two good frames of the message."""
-        gap = float(min(max(gap_ns, _PERIOD_MIN_NS), self._max_ns))
+    def learn(self, t_ns: int) -> None:
+        """The arrival of a good frame that carries the quantity; a step back in time is a new beginning."""
+        last_ns, self._last_ns = self._last_ns, t_ns
+        if last_ns is None or t_ns <= last_ns:
+            return
+        gap = float(min(max(t_ns - last_ns, _PERIOD_MIN_NS), self._max_ns))
         self._seen += 1
         if self._seen <= 10:  # plain mean at first
             self.ns = gap if self._seen == 1 else self.ns + (gap - self.ns) / self._seen
@@ -220,8 +224,7 @@ class EgoReceiver:
     def _read(self, reader: Reader, message: _Message, frame: CanFrame) -> bool:
         t_ns, data, quantity = frame.t_ns, frame.data, reader.quantity
         period = message.period[quantity]
-        if message.last_ns is not None and t_ns > message.last_ns:
-            period.learn(t_ns - message.last_ns)
+        period.learn(t_ns)
         timeout_ns = self._periods * period.ns
         if quantity == "brake":
             pressed = reader.pressed(data)

@@ -95,7 +95,7 @@ class CanSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     lead_rate_hz: Rate = 20.0  # frames a second
     status_rate_hz: Rate = 1.0  # frames a second
     hold_s: Positive = 0.5  # no new result for longer: the sent alert and lead become "not available"
-    timeout_periods: Annotated[int, Meta(ge=2)] = 10  # of a received signal, in periods of its message
+    timeout_periods: Annotated[int, Meta(ge=2)] = 10  # of a received signal, in periods of its own arrival
     j1939: bool = False  # send ACC1 and AEBS1 too (29-bit ids)
     j1939_source_address: Annotated[int, Meta(ge=0, le=253)] = 0xE8  # 232: forward collision avoidance / ADAS
     queue_frames: Annotated[int, Meta(gt=0)] = 64  # of frames waiting to be sent; the oldest is dropped

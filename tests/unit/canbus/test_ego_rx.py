@@ -106,6 +106,32 @@ def test_a_dropout_does_not_stretch_the_learned_period() -> None:
     assert rx.state((20_040 + 250) * MS) is None
 
 
+PAGED_DBC = """VERSION ""
+BU_: X
+BO_ 256 CAR: 8 X
+ SG_ PAGE M : 24|8@1+ (1,0) [0|255] "" X
+ SG_ SPEED m3 : 0|16@1+ (0.01,0) [0|100] "m/s" X
+ SG_ YAW : 32|16@1- (0.0001,0) [0|1] "rad/s" X
+"""
+
+
+def test_a_speed_on_one_page_of_a_multiplexed_message_is_not_lost_between_its_pages() -> None:
+    """20 pages of a 10 ms message: the speed comes every 200 ms, the yaw rate beside it every 10 ms."""
+    car = {"message": "CAR", "signal": "SPEED"}, {"message": "CAR", "signal": "YAW"}
+    made = msgspec.convert({"vehicle": {"dbc": "car.dbc", "speed": car[0], "yaw_rate": car[1]}}, CanSettings)
+    rx = EgoReceiver(build_decoder(made, PAGED_DBC, "car.dbc"), made)
+    for n in range(600):
+        data = (1500).to_bytes(2, "little") + bytes([0, n % 20]) + bytes(4)
+        rx.update(CanFrame(t_ns=10 * n * MS, can_id=256, data=data))
+        assert (rx.state(10 * n * MS) is None) == (n < 3)
+        assert not rx.lost(10 * n * MS)
+    page_ms = 10 * (600 - 20 + 3)
+    state = rx.state((page_ms + 1_990) * MS)  # ten periods of the speed are 2 s, of the yaw rate 0.1 s
+    assert state is not None
+    assert state.yaw_rate_radps is None
+    assert rx.lost((page_ms + 2_010) * MS)
+
+
 def test_nothing_is_lost_where_nothing_is_configured_or_not_yet() -> None:
     none = CanSettings()
     assert not EgoReceiver(build_decoder(none), none).lost(10**12)
