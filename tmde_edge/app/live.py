@@ -20,9 +20,12 @@ from typing import Any, Protocol, TypeAlias
 from tmde_edge.adapters.cameras.live_camera import Captured, LiveCamera, WatchedCamera
 from tmde_edge.app.background_log import BackgroundLog
 from tmde_edge.app.board import BoardState
+from tmde_edge.app.dry_run import size_error
 from tmde_edge.app.live_stats import LiveStats
 from tmde_edge.app.sdnotify import Notifier
 from tmde_edge.app.shedding import LEVELS, Shedder
+from tmde_edge.errors import ConfigError, TmdeError
+from tmde_edge.geometry.pinhole import Camera
 from tmde_edge.messages import Alert, CanFrame, DepthReading, Event, Frame, FrameResult, Output, Sighting, Tick
 
 _log = logging.getLogger(__name__)
@@ -100,6 +103,7 @@ class LiveLoop:
         see: Callable[[Frame], Sighting],
         estimation: Decider,
         *,
+        calibration: Camera | None = None,
         notifier: Notifier | None = None,
         log: BackgroundLog | None = None,
         outlets: Sequence[Outlet] = (),
@@ -116,11 +120,13 @@ class LiveLoop:
     ) -> None:
         """`see` and `on_frame` (depth, a live page) run on the perception thread, all else that is called on the deciding one.
 
-        `on_thread` is called first on each thread, with its name. `shedder`: None never sheds load.
+        `on_thread` is called first on each thread, with its name. `shedder`: None never sheds load. `calibration`: pictures
+        must fit it.
         """
         self._stopping = threading.Event()
         self.camera = WatchedCamera(camera, pause=self._stopping.wait)
         self._see = see
+        self._calibration = calibration
         self._estimation = estimation
         self._notifier = notifier or Notifier({})
         self._log_to = log
@@ -334,6 +340,8 @@ class LiveLoop:
             try:
                 self._on_thread(name)
                 work()
+            except TmdeError as error:  # known: one line, and its own exit code
+                self.crash(error)
             except Exception as error:  # a thread's top: it stops the service instead of going unnoticed
                 _log.exception("the %s thread stopped", name)
                 self.crash(error)
@@ -366,7 +374,10 @@ class LiveLoop:
             if captured is None:
                 continue
             image = captured.decode()
-            if image is None:
+            misfit = size_error(self._calibration, image.shape[1], image.shape[0]) if image is not None else None
+            if misfit is not None and count == 0:
+                raise ConfigError(f"{self.camera.camera.name}: {misfit}")
+            if image is None or misfit is not None:  # a single picture of another size is a broken one
                 self.camera.garbled()
                 continue
             self.camera.good()

@@ -126,6 +126,7 @@ def serve(
             camera or build_camera(config, base_dir),
             see,
             estimation,
+            calibration=calibrated,
             notifier=Notifier(),
             log=log,
             outlets=[o for o in (outlet, page.hub if page is not None else None) if o is not None],

@@ -7,6 +7,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,8 @@ from tmde_edge.app.sdnotify import Notifier
 from tmde_edge.app.shedding import Shedder
 from tmde_edge.app.wiring import build_estimation
 from tmde_edge.config import load
+from tmde_edge.errors import ConfigError
+from tmde_edge.geometry.pinhole import Camera
 from tmde_edge.messages import Alert, CanFrame, Event, Frame, FrameResult, Output, Pose, RangeReference, Sighting, Tick
 
 FRAMES = 12
@@ -278,6 +281,26 @@ def test_frames_that_cannot_be_decoded_never_reach_the_eyes() -> None:
     assert loop.camera.counters.garbled >= 3
     assert len(estimation.of(Sighting)) >= 3
     assert loop.camera.fault is None
+
+
+CALIBRATION = Camera(width_px=16, height_px=9, fx_px=12.0, fy_px=12.0, cx_px=7.5, cy_px=4.0)
+
+
+def test_pictures_that_do_not_fit_the_calibration_are_a_wrong_configuration(
+    recording: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    with pytest.raises(ConfigError, match="image 8x8 does not fit the calibration 16x9"):
+        LiveLoop(play(recording), see, Echo(), calibration=CALIBRATION).run(Bus())
+    assert "Traceback" not in caplog.text
+
+
+def test_a_single_picture_of_another_size_is_a_broken_one(recording: Path) -> None:
+    cv2.imwrite(str(recording / "05.png"), np.zeros((9, 16), np.uint8))
+    fits = replace(CALIBRATION, width_px=8, height_px=8)
+    loop = LiveLoop(play(recording), see, Echo(), calibration=fits)
+    loop.run(Bus())
+    assert loop.camera.counters.garbled == 1
+    assert loop.counters.sightings > FRAMES / 2
 
 
 class Sink:

@@ -112,7 +112,7 @@ def view_camera(config: Config, base_dir: Path, say: Callable[[str], None]) -> i
     hub, server = build_page(config, config.camera.device)
     loop = LiveLoop(
         build_camera(config, base_dir), build_eyes(config, time.perf_counter_ns).see, build_estimation(config, base_dir),
-        outlets=(hub,), on_frame=hub.look, tick_hz=config.runtime.tick_hz,
+        calibration=config.camera.camera(), outlets=(hub,), on_frame=hub.look, tick_hz=config.runtime.tick_hz,
     )  # fmt: skip
     for name in (signal.SIGTERM, signal.SIGINT):
         signal.signal(name, lambda *_: loop.stop())
