@@ -270,10 +270,15 @@ def _all_bits(reader: Reader, counter: Sequence[BitSlice]) -> list[BitSlice]:
 
 
 def _find_checks(source: SignalSource, message: Any, signals: Mapping[str, Any]) -> tuple[str, tuple[BitSlice, ...]]:
-    """Checksum rule and counter as the DBC names and places them (the layouts by which opendbc tells the makes apart)."""
+    """Checksum rule and counter as the DBC names and places them (the layouts by which opendbc tells the makes apart).
+
+    "none" means neither: whoever sets it has a vehicle that does not count, or not so.
+    """
+    if source.checksum == "none":
+        return "", ()
     counter = tuple(_slice_of(s) for name, s in signals.items() if _COUNTER.search(name))[:1]
     if source.checksum != "auto":
-        return ("" if source.checksum == "none" else source.checksum), counter
+        return source.checksum, counter
     for rule, marks in (("hyundai", _HYUNDAI_MARKS), ("ford", _FORD_MARKS)):
         if marks & set(signals) and checks.verifiable(rule, int(message.frame_id)):
             return rule, checks.implied_counter(rule, int(message.frame_id))

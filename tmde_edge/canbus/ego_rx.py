@@ -124,7 +124,8 @@ class EgoReceiver:
         """For the user: messages that fail their checks nearly always, which is a wrong description rather than a bad bus."""
         return tuple(
             f"{message.bad} of {message.bad + message.good} frames of message {self._decoder.plans[key].name} fail its "
-            f'{self._decoder.plans[key].rule or "counter"} check; if this vehicle has none, set checksum = "none" on that signal'
+            f'{self._decoder.plans[key].rule or "counter"} check; if this vehicle has none, '
+            'set checksum = "none" and no counter on its signals'
             for key, message in self._messages.items()
             if message.bad >= _COMPLAIN_AFTER and message.bad > 9 * message.good
         )

@@ -54,7 +54,7 @@ class SignalSource(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     above: float = 0.0  # brake: pressed when the value is above this
     left: int = 1  # turn_signal: raw value for left
     right: int = 2  # turn_signal: raw value for right
-    checksum: ChecksumRule = "auto"  # "auto": as the DBC names and places it; direct descriptions: none
+    checksum: ChecksumRule = "auto"  # "auto": as the DBC names it (directly described: none); "none": no counter by name either
     counter: BitField | None = None  # alive counter, where the checksum's rule does not imply it
 
 

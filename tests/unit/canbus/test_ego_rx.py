@@ -84,6 +84,37 @@ def test_a_message_that_always_fails_is_named() -> None:
     assert healthy.complaints == ()
 
 
+COUNTED_DBC = """VERSION ""
+BU_: X
+BO_ 256 SPD: 8 X
+ SG_ SPEED : 0|16@1+ (0.01,0) [0|100] "m/s" X
+ SG_ YAW : 32|16@1- (0.0001,0) [0|1] "rad/s" X
+ SG_ COUNTER : 16|4@1+ (1,0) [0|15] "" X
+"""
+
+
+def counted(**more: Any) -> EgoReceiver:
+    """After 60 frames whose counter stands still."""
+    both = {name: {"message": "SPD", "signal": name.upper(), **more} for name in ("speed", "yaw")}
+    made = msgspec.convert({"vehicle": {"dbc": "x.dbc", "speed": both["speed"], "yaw_rate": both["yaw"]}}, CanSettings)
+    rx = EgoReceiver(build_decoder(made, COUNTED_DBC, "x.dbc"), made)
+    for n in range(60):
+        rx.update(CanFrame(t_ns=n * 20 * MS, can_id=256, data=(1500).to_bytes(2, "little") + bytes(6)))
+    return rx
+
+
+def test_what_the_complaint_advises_ends_it() -> None:
+    rx = counted()
+    assert rx.counts["used"] == 1
+    assert rx.complaints[0].startswith("59 of 60 frames of message SPD fail its counter check; ")
+    assert 'set checksum = "none" and no counter on its signals' in rx.complaints[0]
+    follows = counted(checksum="none")
+    assert follows.counts["used"] == 60
+    assert follows.complaints == ()
+    described = counted(checksum="none", counter={"signal": "COUNTER"})  # what is described is checked
+    assert described.counts["used"] == 1
+
+
 def test_speed_is_lost_after_ten_learned_periods() -> None:
     rx = receiver()
     for n in range(50):
