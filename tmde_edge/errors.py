@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 
 class TmdeError(Exception):
     """A known error: one line that says what, where, the value and what to do. Its class gives the exit code."""
@@ -49,3 +52,12 @@ class ConfigError(TmdeError):
     """The configuration is wrong (EX_CONFIG)."""
 
     exit_code = 78
+
+
+@contextmanager
+def writing(output: object) -> Iterator[None]:
+    """A disk that refuses, within: a UsageError that names the output."""
+    try:
+        yield
+    except OSError as e:
+        raise UsageError(f"{output}: cannot be written ({e.strerror or e})") from None

@@ -45,11 +45,10 @@ def recorded(folder: Path, name: str, seed: int) -> tuple[Path, list[Event]]:
             simulate(name, home, seed=seed)
         config = load(home / "config.toml", ['depth.kind="recorded"', "runtime.threads=1"])
         part = home / "part.mcap"
-        desk = Desk(config, home, DeskOptions(source=str(home / "video.mp4"), can_log=home / "can.log", record=part))
-        with contextlib.redirect_stderr(io.StringIO()):
+        options = DeskOptions(source=str(home / "video.mp4"), can_log=home / "can.log", record=part)
+        with contextlib.redirect_stderr(io.StringIO()), Desk(config, home, options) as desk:
             for _ in desk:
                 pass
-        desk.finish()
         part.replace(log)
     return home, [entry.event for entry in DriveLogReader(log).entries()]
 

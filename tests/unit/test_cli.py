@@ -10,7 +10,10 @@ import cv2
 import numpy as np
 import pytest
 
+from tmde_edge.adapters.cameras.sources import open_source
+from tmde_edge.app.drive_log import DriveLogReader
 from tmde_edge.cli import main
+from tmde_edge.messages import Sighting
 
 
 @pytest.fixture
@@ -124,6 +127,42 @@ def test_sizes_that_do_not_fit_the_calibration_are_error_records(capsys: pytest.
     assert code == 0
     assert ["error" in r for r in records] == [False, True, False]
     assert "320x200" in records[1]["error"]
+
+
+def test_a_recording_that_fits_nowhere_is_an_error_not_an_empty_road(capsys: pytest.CaptureFixture[str], street: Path) -> None:
+    wide = ["--set", "camera.fx_px=900", "--set", "camera.width_px=1280", "--set", "camera.height_px=720"]
+    code, out, err = run(capsys, "--dry-run", str(street), "--jsonl", "-", "-q", *wide)
+    assert code == 65
+    assert ["error" in json.loads(line) for line in out.splitlines()] == [True] * 3
+    assert err.count("\n") == 1
+    assert "not one frame could be used: image 320x240 does not fit the calibration 1280x720" in err
+
+
+def test_what_was_made_before_an_error_stays_whole(capsys: pytest.CaptureFixture[str], street: Path, tmp_path: Path) -> None:
+    log = bad(tmp_path, "x.log", b"(0000000000.000000) can0 0B4#00\n(0000000000.010000) can0 0B4#00\nnothing\n")
+    (street / "003.png").write_bytes((street / "000.png").read_bytes())
+    video, report, drive = tmp_path / "v.mp4", tmp_path / "report", tmp_path / "d.mcap"
+    outputs = ["--video-out", str(video), "--report", str(report), "--record", str(drive), "--can-out", str(tmp_path / "out.log")]
+    code, _, err = run(capsys, "--dry-run", str(street), "--fps", "100", "--can-log", log, "-q", *outputs)
+    assert code == 65
+    assert "line 3" in err
+    assert [item.t_ns for item in open_source(str(video))] == [0]
+    assert "<html" in (report / "index.html").read_text()
+    assert len((report / "records.jsonl").read_text().splitlines()) == 1
+    assert any(isinstance(e.event, Sighting) for e in DriveLogReader(drive).entries())
+
+
+@pytest.mark.parametrize("option", ["--jsonl", "--can-out", "--record", "--video-out"])
+def test_a_full_disk_is_one_line_that_names_its_own_output(
+    capsys: pytest.CaptureFixture[str], street: Path, tmp_path: Path, option: str
+) -> None:
+    full = tmp_path / "full"
+    full.symlink_to("/dev/full")
+    others = [] if option == "--jsonl" else ["--jsonl", str(tmp_path / "a.jsonl")]
+    code, _, err = run(capsys, "--dry-run", str(street), "-q", "--set", "can.transmit=true", *others, option, str(full))
+    assert code == (74 if option == "--can-out" else 2)
+    assert err.count("\n") == 1
+    assert f"{full}: cannot be written (No space left on device)" in err
 
 
 def test_measure_exits_65_only_when_nothing_could_be_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

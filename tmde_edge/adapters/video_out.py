@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from fractions import Fraction
 from pathlib import Path
 from types import TracebackType
@@ -31,11 +33,9 @@ class VideoWriter:
         self._threads = threads
         self._stream: Any = None
         self._last_pts = -1
-        try:
+        with self._writing():
             path.open("wb").close()  # FFmpeg itself opens it only with the first picture
             self._container: Any = av.open(str(path), "w", format="mp4", options={"movflags": "+faststart"})
-        except (av.FFmpegError, OSError) as error:
-            raise UsageError(f"{path}: cannot be written ({getattr(error, 'strerror', None) or error})") from error
 
     def __enter__(self) -> VideoWriter:
         return self
@@ -57,18 +57,29 @@ class VideoWriter:
         frame = av.VideoFrame.from_ndarray(cv2.cvtColor(picture, cv2.COLOR_BGR2YUV_I420), format="yuv420p")
         self._last_pts = max(self._last_pts + 1, round(t_ns * _TICKS_PER_S / 1e9))
         frame.pts, frame.time_base = self._last_pts, Fraction(1, _TICKS_PER_S)
-        self._container.mux(self._stream.encode(frame))
+        with self._writing():
+            self._container.mux(self._stream.encode(frame))
 
     def close(self) -> None:
         """Finishes the file; closing twice is harmless. A writer that got no picture leaves no file."""
         if self._container is None:
             return
-        if self._stream is not None:
-            self._container.mux(self._stream.encode())
-        self._container.close()
-        self._container = None
+        container, self._container = self._container, None
+        with self._writing():
+            try:
+                if self._stream is not None:
+                    container.mux(self._stream.encode())
+            finally:
+                container.close()
         if self._stream is None:
             self._path.unlink(missing_ok=True)
+
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        try:
+            yield
+        except (av.FFmpegError, OSError) as error:
+            raise UsageError(f"{self._path}: cannot be written ({getattr(error, 'strerror', None) or error})") from error
 
     def _start(self, width_px: int, height_px: int) -> None:
         self._stream = self._container.add_stream("libx264", rate=self._rate)

@@ -16,7 +16,6 @@ from tmde_edge.adapters.cameras.sources import FrameSource, open_source
 from tmde_edge.adapters.can_ports.log_files import CandumpWriter, iter_can_log
 from tmde_edge.adapters.video_out import VideoWriter
 from tmde_edge.app.can_times import CanTimeline
-from tmde_edge.app.drive_log import DriveLogWriter
 from tmde_edge.app.dry_run import Step, dry_run
 from tmde_edge.app.overlay import Image, draw
 from tmde_edge.app.recorder import SingleLog, frame_keeper
@@ -47,7 +46,7 @@ class DeskOptions:
 
 
 class Desk:
-    """Iterate for the records; finish() closes the outputs and returns the summary."""
+    """Iterate for the records, within `with`: its end closes the outputs, whatever went wrong, with all that came before."""
 
     def __init__(self, config: Config, base_dir: Path, options: DeskOptions) -> None:
         self._config = config
@@ -67,10 +66,17 @@ class Desk:
             made = time.strftime("%Y-%m-%d %H:%M")
             about = about_run(config, options.source, str(options.can_log) if options.can_log is not None else None, made)
             self._report = ReportWriter(options.report, about)
-            self._stack.callback(self._report.close)
+            self._stack.callback(self._finish_report)
         self._can_out = self._stack.enter_context(CandumpWriter(options.can_out)) if options.can_out is not None else None
         self._wall_s = 0.0
         self._estimation: Estimation | None = None
+        self._page: Path | None = None
+
+    def __enter__(self) -> Desk:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
 
     @property
     def frame_count(self) -> int | None:
@@ -82,11 +88,8 @@ class Desk:
             config = msgspec.structs.replace(config, can=msgspec.structs.replace(config.can, enabled=False))
         log = None
         if o.record is not None:
-            try:
-                writer = DriveLogWriter(o.record, log_config(config, self._base_dir))
-                log = self._stack.enter_context(SingleLog(writer, frame_keeper(config.record) if config.record.frames else None))
-            except OSError as e:
-                raise UsageError(f"{o.record}: cannot be written ({e.strerror or e})") from None
+            keeper = frame_keeper(config.record) if config.record.frames else None
+            log = self._stack.enter_context(SingleLog(o.record, log_config(config, self._base_dir), keeper))
         can = CanTimeline(iter_can_log(o.can_log), o.can_offset_s) if o.can_log is not None else None
         start = time.perf_counter()
         self._estimation = build_estimation(config, self._base_dir)
@@ -135,7 +138,7 @@ class Desk:
         return draw(frame.image, step.result, self._config.camera.camera(), step.record.get("error"))
 
     def finish(self) -> list[str]:
-        """Closes the outputs; the summary for people."""
+        """Closes the outputs ; the summary for people."""
         self._stack.close()
         n = self._counts
         lines = [f"{n['frames']} frames, {n['with a plate']} with a plate, {n['with a lead']} with a lead"]
@@ -152,9 +155,17 @@ class Desk:
             lines.append("no alert")
         if self._truth is not None:
             lines += self._truth.lines()
-        if self._report is not None:
-            lines.append(f"report: {self._report.finish(self._true, self._truth)}")
+        if self._page is not None:
+            lines.append(f"report: {self._page}")
         return lines
+
+    def _finish_report(self) -> None:
+        if self._report is None:
+            return
+        if self._counts["frames"]:
+            self._page = self._report.finish(self._true, self._truth)
+        else:
+            self._report.close()
 
 
 def run_desk(config: Config, base_dir: Path, options: DeskOptions) -> Desk:

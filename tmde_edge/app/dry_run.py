@@ -57,10 +57,12 @@ def dry_run(
     log: EventLog | None = None,
     tick_hz: float = 20.0,
 ) -> Iterator[Step]:
-    """Yields one Step a frame. Raises InputDataError where nothing of the source could be read."""
+    """Yields one Step a frame. Raises InputDataError where nothing of the source could be used."""
     tick_ns = round(1e9 / tick_hz)
     next_tick_ns = 0
     sent: list[CanFrame] = []
+    misfit: str | None = None
+    usable = False
 
     def step(event: Event, frame: Frame | None = None) -> FrameResult | None:
         outputs = estimation.step(event)
@@ -87,19 +89,23 @@ def dry_run(
             yield _taken(Step(record=error_record(item.index, item.t_ns, item.message), frame=None, result=None,
                               sighting=None, can_out=()), sent)  # fmt: skip
             continue
-        misfit = size_error(camera, item.image.shape[1], item.image.shape[0])
-        if misfit is not None:
-            yield _taken(Step(record=error_record(item.index, item.t_ns, misfit), frame=item, result=None, sighting=None,
+        wrong_size = size_error(camera, item.image.shape[1], item.image.shape[0])
+        if wrong_size is not None:
+            misfit = misfit or wrong_size
+            yield _taken(Step(record=error_record(item.index, item.t_ns, wrong_size), frame=item, result=None, sighting=None,
                               can_out=()), sent)  # fmt: skip
             continue
         if depth is not None:
             depth.submit(item)
         sighting = eyes.see(item)
+        usable = True
         result = step(sighting, item)
         if result is None:
             raise RuntimeError("estimation gave no result for a sighting")
         yield _taken(Step(record=frame_record(result, sighting, sighting.timing_ms), frame=item, result=result,
                           sighting=sighting, can_out=()), sent)  # fmt: skip
+    if misfit is not None and not usable:
+        raise InputDataError(f"{source.name}: not one frame could be used: {misfit}")
 
 
 def _taken(step: Step, sent: list[CanFrame]) -> Step:

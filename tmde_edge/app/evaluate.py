@@ -165,12 +165,11 @@ def _recording(item: Item, config: Candidate) -> list[Row]:
     video = _video_of(folder)
     if video is None:
         raise InputMissingError(f"{folder}: no video")
-    desk = run_desk(loaded, folder, DeskOptions(source=str(video), can_log=can_log, fps=loaded.camera.rate_hz))
     rows: list[Row] = []
-    for record in desk:
-        base: Row = {"config": config.name, "recording": item.name, "frame": record["frame"], "t_s": record["t"]}
-        rows += rows_of(record, truth.get(record["frame"], TrueFrame()), base)
-    desk.finish()
+    with run_desk(loaded, folder, DeskOptions(source=str(video), can_log=can_log, fps=loaded.camera.rate_hz)) as desk:
+        for record in desk:
+            base: Row = {"config": config.name, "recording": item.name, "frame": record["frame"], "t_s": record["t"]}
+            rows += rows_of(record, truth.get(record["frame"], TrueFrame()), base)
     return rows
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from pathlib import Path
-from types import TracebackType
 
 from tmde_edge.app.drive_log import DriveLogWriter, Json
 from tmde_edge.app.incident import Evidence
@@ -13,6 +12,7 @@ from tmde_edge.app.odometer import Odometer
 from tmde_edge.app.privacy import FrameKeeper
 from tmde_edge.app.ring import Ring
 from tmde_edge.config import Config, RecordConfig
+from tmde_edge.errors import writing
 from tmde_edge.messages import Event, Frame, FrameResult, Output, RangeReference, Sighting
 
 
@@ -22,26 +22,34 @@ def frame_keeper(settings: RecordConfig) -> FrameKeeper:
 
 
 class SingleLog:
-    """One drive log with its frames, for the desk (`--record`). Raises OSError when the disk refuses."""
+    """One drive log with its frames, for the desk (`--record`). Raises UsageError when the disk refuses."""
 
-    def __init__(self, writer: DriveLogWriter, keeper: FrameKeeper | None) -> None:
-        self._writer, self._keeper = writer, keeper
+    def __init__(self, path: Path, config: Json, keeper: FrameKeeper | None) -> None:
+        """`config`: what a drive log keeps of the configuration (wiring.log_config)."""
+        self._path, self._keeper = path, keeper
+        with writing(path):
+            self._writer = DriveLogWriter(path, config)
 
     def __enter__(self) -> SingleLog:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        if self._keeper is not None and error is None:
-            for t_ns, jpeg in self._keeper.rest():
-                self._writer.picture(t_ns, jpeg)
-        self._writer.close()
+    def __exit__(self, *_: object) -> None:
+        try:
+            with writing(self._path):
+                if self._keeper is not None:
+                    for t_ns, jpeg in self._keeper.rest():
+                        self._writer.picture(t_ns, jpeg)
+                self._writer.close()
+        finally:
+            self._writer.abandon()  # where it could not be finished
 
     def write(self, event: Event, outputs: tuple[Output, ...], frame: Frame | None = None) -> None:
         """Logs one step."""
-        self._writer.write(event, outputs)
-        if self._keeper is not None and isinstance(event, Sighting):
-            for t_ns, jpeg in self._keeper.take(event, frame):
-                self._writer.picture(t_ns, jpeg)
+        with writing(self._path):
+            self._writer.write(event, outputs)
+            if self._keeper is not None and isinstance(event, Sighting):
+                for t_ns, jpeg in self._keeper.take(event, frame):
+                    self._writer.picture(t_ns, jpeg)
 
 
 class Recorder:

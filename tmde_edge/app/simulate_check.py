@@ -186,9 +186,8 @@ def sighting_records(made: Made, overrides: Sequence[str] = ()) -> Iterator[Reco
 def desk_records(made: Made, overrides: Sequence[str] = ()) -> Iterator[Record]:
     """The records of a dry run of what `simulate` made."""
     loaded = config.load(made.config, overrides)
-    desk = run_desk(loaded, made.folder, DeskOptions(source=str(made.video), can_log=made.can_log))
-    yield from desk
-    desk.finish()
+    with run_desk(loaded, made.folder, DeskOptions(source=str(made.video), can_log=made.can_log)) as desk:
+        yield from desk
 
 
 def judge(made: Made, records: Sequence[Record]) -> Outcome:

@@ -6,11 +6,10 @@ import argparse
 import json
 import sys
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TextIO, TypeVar
+from typing import Any, TypeVar
 
-from tmde_edge.errors import UsageError
+from tmde_edge.errors import writing
 
 T = TypeVar("T")
 Verb = Callable[[argparse.Namespace], int]
@@ -68,17 +67,29 @@ def base_dir(args: argparse.Namespace) -> Path:
     return args.config.resolve().parent if args.config is not None else Path.cwd()
 
 
-@contextmanager
-def text_out(name: str) -> Iterator[TextIO]:
-    """A file for text, or stdout for '-'."""
-    if name == "-":
-        yield sys.stdout
-        return
-    try:
-        with open(name, "w", encoding="utf-8") as f:
-            yield f
-    except OSError as e:
-        raise UsageError(f"{name}: cannot be written ({e.strerror or e})") from None
+class TextOut:
+    """A file for text, or stdout for '-'. Raises UsageError where the file cannot be written."""
+
+    def __init__(self, name: str) -> None:
+        self._name, self.is_stdout = name, name == "-"
+        with writing(name):
+            self._file = sys.stdout if self.is_stdout else open(name, "w", encoding="utf-8")  # noqa: SIM115 (closed by __exit__)
+
+    def write(self, text: str) -> None:
+        """Adds text."""
+        if self.is_stdout:
+            self._file.write(text)
+            return
+        with writing(self._name):
+            self._file.write(text)
+
+    def __enter__(self) -> TextOut:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if not self.is_stdout:
+            with writing(self._name):
+                self._file.close()
 
 
 def progress(items: Iterable[T], total: int | None, text: str, quiet: bool) -> Iterator[T]:

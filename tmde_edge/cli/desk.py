@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import argparse
 import signal
-import sys
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from tmde_edge.cli.common import Verbs, base_dir, config_of, json_line, output_options, progress, progress_bar, say, text_out
+from tmde_edge.cli.common import TextOut, Verbs, base_dir, config_of, json_line, output_options, progress, progress_bar, say
 from tmde_edge.errors import CheckFailedError, InputDataError, InputMissingError, UsageError
 
 
@@ -80,15 +79,15 @@ def dry_run(args: argparse.Namespace) -> int:
     before = signal.signal(signal.SIGINT, interrupted)
     try:
         with ExitStack() as stack:
-            out = stack.enter_context(text_out(args.jsonl)) if args.jsonl else None
-            desk = run_desk(
+            out = stack.enter_context(TextOut(args.jsonl)) if args.jsonl else None
+            desk = stack.enter_context(run_desk(
                 config,
                 base_dir(args),
                 DeskOptions(
                     source=args.dry_run, fps=args.fps, can_log=args.can_log, can_offset_s=args.can_offset,
                     video_out=args.video_out, report=args.report, record=args.record, truth=args.truth, can_out=args.can_out,
                 ),
-            )  # fmt: skip
+            ))  # fmt: skip
             for record in progress(desk, desk.frame_count, "dry run", args.quiet):
                 if out is not None:
                     out.write(json_line(record))
@@ -110,12 +109,12 @@ def _measure(args: argparse.Namespace) -> int:
     records = measure_with(config_of(args), paths)
     usable = 0
     with ExitStack() as stack:
-        out = stack.enter_context(text_out(args.jsonl)) if getattr(args, "jsonl", None) else None
+        out = stack.enter_context(TextOut(args.jsonl)) if getattr(args, "jsonl", None) else None
         for record in progress(records, len(paths), "measure", args.quiet):
             usable += "error" not in record
             if out is not None:
                 out.write(json_line(record))
-            if out is not sys.stdout:
+            if out is None or not out.is_stdout:
                 say(args, _still_text(record))
     if not usable:
         first = f"{paths[0]}" if len(paths) == 1 else f"none of {len(paths)} images"

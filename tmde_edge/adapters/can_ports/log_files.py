@@ -57,27 +57,38 @@ class CandumpWriter:
     """Writes `candump -L` lines: `(seconds.micros) channel ID#DATA`; path "-" is standard output."""
 
     def __init__(self, path: str | Path, channel: str = "can0") -> None:
+        """Raises DeviceError where the file cannot be written, as do write and close."""
         self._channel = channel
-        self._own = str(path) != "-"
+        self._path, self._own = path, str(path) != "-"
         if not self._own:
             self._file: IO[str] = sys.stdout
             return
         try:
             self._file = open(path, "w", encoding="ascii")  # noqa: SIM115 (closed by close)
         except OSError as e:
-            raise DeviceError(
-                f"--can-out {path}: cannot be written ({e.strerror}); give a file in a folder that exists"
-            ) from None
+            raise self._refused(e) from None
 
     def write(self, frame: CanFrame) -> None:
         """One line; times before zero (a negative offset) are written as zero, which candump's format needs."""
-        self._file.write(candump_line(frame, self._channel))
+        try:
+            self._file.write(candump_line(frame, self._channel))
+        except OSError as e:
+            raise self._refused(e) from None
 
     def close(self) -> None:
         """Flushes; closes a file of its own."""
-        self._file.flush()
-        if self._own:
-            self._file.close()
+        try:
+            if self._own:
+                self._file.close()
+            else:
+                self._file.flush()
+        except OSError as e:
+            raise self._refused(e) from None
+
+    def _refused(self, error: OSError) -> Exception:
+        if not self._own:  # a pipe whose reader has seen enough
+            return error
+        return DeviceError(f"--can-out {self._path}: cannot be written ({error.strerror}); give a file that can be written")
 
     def __enter__(self) -> CandumpWriter:
         return self

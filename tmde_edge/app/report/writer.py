@@ -19,7 +19,7 @@ from tmde_edge.app.report.about import About
 from tmde_edge.app.report.page import page
 from tmde_edge.app.report.series import Change, Series
 from tmde_edge.app.truth import TruthComparison, TruthRow, read_truth
-from tmde_edge.errors import InputDataError, InputMissingError, UsageError
+from tmde_edge.errors import InputDataError, InputMissingError, UsageError, writing
 
 Image = NDArray[np.uint8]
 THUMBNAIL_WIDTH_PX = 560
@@ -30,7 +30,7 @@ class ReportWriter:
     """add() every record in order, then finish(). Raises UsageError where the folder cannot be written."""
 
     def __init__(self, folder: Path, about: About) -> None:
-        self._folder = folder
+        self._folder, self._name = folder, f"--report {folder}"
         self._about = about
         self._series = Series()
         self._kinds: Counter[str] = Counter()
@@ -44,7 +44,8 @@ class ReportWriter:
 
     def add(self, record: Record, size_px: tuple[int, int] | None, draw: Callable[[], Image] | None) -> None:
         """Takes a record; `draw` makes its annotated picture and is called only where a thumbnail is wanted."""
-        self._records.write(json.dumps(record, allow_nan=False, separators=(",", ":")) + "\n")
+        with writing(self._name):
+            self._records.write(json.dumps(record, allow_nan=False, separators=(",", ":")) + "\n")
         if size_px is not None and not self._about.width_px:
             self._about = msgspec.structs.replace(self._about, width_px=size_px[0], height_px=size_px[1])
         changes = self._series.add(record)
@@ -60,7 +61,7 @@ class ReportWriter:
 
     def finish(self, truth: dict[int, TruthRow] | None, comparison: TruthComparison | None) -> Path:
         """Writes the page; returns its path."""
-        self._records.close()
+        self.close()
         if self._worst is not None:
             ttc_s, record, draw = self._worst
             self._pictures.append(
@@ -74,7 +75,7 @@ class ReportWriter:
         ]
         about = msgspec.structs.replace(self._about, thumbnails=listed, rate_hz=rate_hz(self._series))
         pictures = self._folder / "thumbnails"
-        try:
+        with writing(self._name):
             pictures.mkdir(exist_ok=True)
             for old in pictures.glob("*.jpg"):  # of an earlier run into the same folder
                 old.unlink()
@@ -82,12 +83,11 @@ class ReportWriter:
                 (pictures / name).write_bytes(jpeg)
             (self._folder / "report.json").write_bytes(msgspec.json.format(msgspec.json.encode(about), indent=1))
             return _write_page(self._folder, self._series, about, [j for _, j in self._pictures], truth, comparison)
-        except OSError as e:
-            raise UsageError(f"--report {self._folder}: cannot be written ({e.strerror or e})") from None
 
     def close(self) -> None:
         """Lets the files go; harmless after finish()."""
-        self._records.close()
+        with writing(self._name):
+            self._records.close()
 
 
 def rebuild(source: Path, out: Path | None, truth_path: Path | None) -> Path:
@@ -122,12 +122,10 @@ def rebuild(source: Path, out: Path | None, truth_path: Path | None) -> Path:
         raise InputDataError(f"{records}: holds no record")
     if not (folder / "report.json").exists() or not source.is_dir():
         about = msgspec.structs.replace(about, rate_hz=rate_hz(series))
-    try:
+    with writing(out or folder):
         target = out if out is not None else folder
         target.mkdir(parents=True, exist_ok=True)
         return _write_page(target, series, about, pictures, truth, comparison)
-    except OSError as e:
-        raise UsageError(f"{out or folder}: cannot be written ({e.strerror or e})") from None
 
 
 def read_records(path: Path) -> Iterable[Record]:
