@@ -17,6 +17,9 @@ from tmde_edge.messages import DepthReading, Frame
 
 _log = logging.getLogger(__name__)
 _SILENT_NS = 10_000_000_000  # frames went in and nothing came out for so long: it hangs
+_FIRST_NS = 120_000_000_000  # a first answer may take so long before it is loaded again: some accelerators compile then
+_LOOK_S, _STOP_S = 0.5, 1.0
+_LEFT_BEHIND = 3  # a network that hangs keeps its memory: no more are loaded beside so many
 
 
 class DepthKeeper:
@@ -41,15 +44,14 @@ class DepthKeeper:
         self._lost = False
         self._providers: tuple[str, ...] = ()
         self._waits_since_ns: int | None = None
+        self._hanging: list[ThreadedDepth] = []
         self.readings = self.restarts = 0
         self._thread = threading.Thread(target=self._keep, name="depth-keeper", daemon=True)
 
     @property
     def faults(self) -> tuple[str, ...]:
         """("depth_lost",) while no depth comes."""
-        waits = self._waits_since_ns
-        hangs = waits is not None and self._clock_ns() - waits > _SILENT_NS
-        return ("depth_lost",) if self._lost or hangs else ()
+        return ("depth_lost",) if self._lost or self._silent_for(_SILENT_NS) else ()
 
     def start(self) -> None:
         """Begins to load."""
@@ -71,14 +73,20 @@ class DepthKeeper:
                 return
             self._thin = Pace(self._rate_hz / factor)
             self._thin.took(frame.t_ns)
-        running.submit(frame)
-        if self._waits_since_ns is None:
+        idle = self._waits_since_ns is None
+        if idle:  # before it is offered: the answer may be quicker than we are
             self._waits_since_ns = self._clock_ns()
+        if not running.submit(frame) and idle:
+            self._waits_since_ns = None
 
     def record(self) -> dict[str, Any]:
         """For `status`."""
         state = "lost" if self.faults else "works" if self.readings else "loading"
         return {"state": state, "providers": list(self._providers), "readings": self.readings, "restarts": self.restarts}
+
+    def _silent_for(self, limit_ns: int) -> bool:
+        waits = self._waits_since_ns
+        return waits is not None and self._clock_ns() - waits > limit_ns
 
     def _keep(self) -> None:
         try:
@@ -90,7 +98,11 @@ class DepthKeeper:
                     self._fail(error)
                 else:
                     self._run(network)
-                if not self._stopping.wait(self._back_off.pause_s()):
+                self._stopping.wait(self._back_off.pause_s())
+                while not self._stopping.is_set() and len(self._hanging) >= _LEFT_BEHIND:
+                    self._stopping.wait(_LOOK_S)
+                    self._hanging = [depth for depth in self._hanging if not depth.stop(0.0)]
+                if not self._stopping.is_set():
                     self.restarts += 1
         except Exception as error:  # a thread's top: depth is an aid, the service goes on without it
             _log.exception("depth stopped for good")
@@ -104,10 +116,15 @@ class DepthKeeper:
         running.start()
         self._waits_since_ns = None
         self._running = running
-        self._failed.wait()
+        before, late = self.readings, 0
+        while not self._failed.wait(_LOOK_S):
+            late = late + 1 if self._silent_for(_SILENT_NS if self.readings > before else _FIRST_NS) else 0
+            if late > 1:  # twice: after a pause of the whole process it is given a moment to answer
+                self._fail(TimeoutError("the network hangs"))
         self._running = None
         self._waits_since_ns = None
-        running.stop(1.0)
+        if not running.stop(_STOP_S):
+            self._hanging.append(running)
 
     def _deliver(self, reading: DepthReading) -> None:
         self.readings += 1

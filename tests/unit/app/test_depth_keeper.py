@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import itertools
 import logging
 import threading
 import time
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 
 from tmde_edge.adapters.can_ports.retry import BackOff
+from tmde_edge.app import depth_keeper
 from tmde_edge.app.depth_keeper import DepthKeeper
 from tmde_edge.app.teller import Teller
 from tmde_edge.errors import ModelError
 from tmde_edge.messages import Alert, AlertLevel, DepthReading, Frame, FrameResult, Pose
 
+S = 1_000_000_000
 IMAGE = np.zeros((6, 8, 3), np.uint8)
 
 
@@ -89,6 +93,67 @@ def test_a_network_that_hangs_is_lost_too() -> None:
         assert keeper.faults == ("depth_lost",)
     finally:
         release.set()
+        keeper.stop()
+
+
+def test_a_network_that_hangs_is_loaded_again_but_not_without_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(depth_keeper, "_LOOK_S", 0.01)
+    monkeypatch.setattr(depth_keeper, "_STOP_S", 0.01)
+    hangs, release = threading.Event(), threading.Event()
+    made: list[Network] = []
+    got: list[DepthReading] = []
+    now = [0]
+
+    def make() -> Network:
+        network = Network()
+        network.act = lambda: release.wait(20) and None if hangs.is_set() else None
+        made.append(network)
+        return network
+
+    keeper = DepthKeeper(make, rate_hz=5, on_reading=got.append, clock_ns=lambda: now[0], back_off=BackOff(0.01, 0.02))
+
+    def drive(until: Callable[[], object]) -> float:
+        start_ns, end_s = now[0], time.monotonic() + 20
+        while not until():
+            assert time.monotonic() < end_s
+            now[0] += S
+            keeper.submit(Frame(t_ns=now[0], index=0, image=IMAGE))
+            time.sleep(0.005)
+        return (now[0] - start_ns) / S
+
+    keeper.start()
+    try:
+        drive(lambda: got)
+        hangs.set()
+        assert drive(lambda: len(made) == 2) > 10
+        assert keeper.faults == ("depth_lost",)
+        assert drive(lambda: len(made) == 3) > 120  # it has not answered yet
+        drive(lambda: len(keeper._hanging) == 3)
+        drive(lambda: now[0] % (300 * S) == 0)
+        assert len(made) == 3
+        hangs.clear()
+        release.set()
+        drive(lambda: not keeper.faults)
+        assert all(b.t_ns > a.t_ns for a, b in itertools.pairwise(got))  # what the old ones say in the end is not heard
+    finally:
+        release.set()
+        keeper.stop()
+
+
+def test_a_camera_that_is_away_does_not_make_a_healthy_network_lost() -> None:
+    now, got = [0], []
+    keeper = DepthKeeper(Network, rate_hz=5, on_reading=got.append, clock_ns=lambda: now[0])
+    keeper.start()
+    try:
+        end_s = time.monotonic() + 10
+        while not got:
+            assert time.monotonic() < end_s
+            keeper.submit(Frame(t_ns=0, index=0, image=IMAGE))
+            time.sleep(0.002)
+        keeper.submit(Frame(t_ns=33_000_000, index=1, image=IMAGE))  # the last one, and none was due
+        now[0] = 11 * S
+        assert keeper.faults == ()
+    finally:
         keeper.stop()
 
 

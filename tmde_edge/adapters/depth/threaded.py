@@ -37,15 +37,16 @@ class ThreadedDepth:
         """Starts the thread."""
         self._thread.start()
 
-    def submit(self, frame: Frame) -> None:
-        """Offers a frame."""
+    def submit(self, frame: Frame) -> bool:
+        """Offers a frame; True where it is taken (or waits for the network), False where none is due."""
         with self._wake:
             if not self._pace.is_due(frame.t_ns):
-                return
+                return False
             if self._newest is not None:
                 self.skipped += 1
             self._newest = frame
             self._wake.notify()
+        return True
 
     def stop(self, timeout_s: float = 5.0) -> bool:
         """Ends the thread; False where it is still inside the network after the timeout."""
@@ -68,9 +69,12 @@ class ThreadedDepth:
                     self._pace.took(frame.t_ns)
                 self._deliver(self._network.infer(frame))
         except Exception as error:  # a thread's top: whatever it was, the service hears of it
-            self._on_failure(error)
+            if not self._stopping:
+                self._on_failure(error)
 
     def _deliver(self, reading: DepthReading) -> None:
+        if self._stopping:  # given up meanwhile: another network may be at work by now
+            return
         ready = max(self._clock_ns(), reading.t_ns)
         self._on_reading(
             DepthReading(
