@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import csv
 import json
+import logging
 import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -21,11 +22,12 @@ from tmde_edge.adapters.can_ports.log_files import candump_line
 from tmde_edge.app.drive_log import DriveLogReader, DriveLogWriter, LogEntry, Part
 from tmde_edge.app.incident import incident_folders
 from tmde_edge.app.records import frame_record
-from tmde_edge.app.ring import segments
+from tmde_edge.app.ring import Segment, segments
 from tmde_edge.app.toml_out import write_config
 from tmde_edge.errors import InputDataError, InputMissingError, UsageError
 from tmde_edge.messages import CanFrame, FrameResult, RangeReference, Sighting
 
+_log = logging.getLogger(__name__)
 S = 1_000_000_000
 _REFERENCE_NEAR_NS = 100_000_000  # a frame takes the truth of a line this near in time
 
@@ -41,18 +43,17 @@ class Found:
 
 def find_last_alert(folder: Path) -> Found | None:
     """The beginning of the last caution or warning in a ring; None where there is none."""
-    parts = segments(folder)
-    for i in range(len(parts) - 1, -1, -1):
+    parts = _readable(folder)
+    for segment, log in reversed(parts):
         level, found = "none", None
-        for entry in DriveLogReader(parts[i].path).entries():
+        for entry in log.entries():
             for output in entry.outputs:
                 if isinstance(output, FrameResult):
                     if output.alert.level != "none" and level == "none":
                         found = (output.t_ns, output.alert)
                     level = output.alert.level
         if found is not None:
-            drive = [p.path for p in parts if p.drive == parts[i].drive]
-            return Found(drive, found[0], f"{found[1].level} ({found[1].reason})")
+            return Found(_drive(parts, segment.drive), found[0], f"{found[1].level} ({found[1].reason})")
     return None
 
 
@@ -60,14 +61,30 @@ def find_time(folder: Path, when: datetime) -> Found:
     """A moment by the clock on the wall. Raises InputMissingError where nothing was recorded then."""
     wall_ns = round(when.astimezone(timezone.utc).timestamp() * 1e9)
     best: tuple[int, Found] | None = None
-    for segment in segments(folder):
-        part = DriveLogReader(segment.path).part
+    parts = _readable(folder)
+    for segment, log in parts:
+        part = log.part
         if part.wall_ns <= wall_ns and (best is None or part.wall_ns > best[0]):
-            drive = [p.path for p in segments(folder) if p.drive == segment.drive]
-            best = part.wall_ns, Found(drive, wall_ns - part.wall_ns + part.monotonic_ns, when.isoformat())
+            t_ns = wall_ns - part.wall_ns + part.monotonic_ns
+            best = part.wall_ns, Found(_drive(parts, segment.drive), t_ns, when.isoformat())
     if best is None:
         raise InputMissingError(f"{folder}: nothing was recorded at {when.isoformat()}; see `tmde-edge incident --list`")
     return best[1]
+
+
+def _readable(folder: Path) -> list[tuple[Segment, DriveLogReader]]:
+    """The parts of a ring, oldest first; one that a power cut left empty, or that was removed just now, is said and left out."""
+    parts = []
+    for segment in segments(folder):
+        try:
+            parts.append((segment, DriveLogReader(segment.path)))
+        except (InputDataError, InputMissingError) as error:
+            _log.warning("left out: %s", error)
+    return parts
+
+
+def _drive(parts: list[tuple[Segment, DriveLogReader]], number: int) -> list[Path]:
+    return [segment.path for segment, _ in parts if segment.drive == number]
 
 
 def write_bundle(out: Path, logs: list[Path], from_ns: int, to_ns: int) -> dict[str, Any]:

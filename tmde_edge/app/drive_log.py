@@ -225,6 +225,8 @@ class DriveLogReader:
                         yield topics.get(record.channel_id, ""), record.data
         except _TORN as error:
             self.torn = f"the end is torn: {type(error).__name__} {error}".strip()
+        except OSError as error:
+            raise InputDataError(f"{self._path}: cannot be read ({error.strerror or error})") from None
 
     def _decode(self, data: bytes, kind: Any) -> Any:
         try:

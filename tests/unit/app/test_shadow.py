@@ -163,6 +163,19 @@ def test_a_moment_by_the_clock_with_its_truth(driven: Path, tmp_path: Path) -> N
         incidents.take_out(driven, out=None, at="yesterday", kept=None, before_s=3, after_s=3)
 
 
+@pytest.mark.parametrize("at", [None, "a time"])
+def test_a_part_that_a_power_cut_left_empty_hides_no_other(
+    driven: Path, tmp_path: Path, at: str | None, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    (part,) = driven.glob("*.mcap")
+    for name in (part.name.replace("-0000.", "-0001."), "000009-20991231T000000Z-0000.mcap"):
+        (driven / name).write_bytes(b"")
+    options = ["--at", f"{_utc(52)}Z"] if at else []
+    assert main(["incident", str(driven), "--out", str(tmp_path / "out"), "--before", "3", "--after", "3", *options]) == 0
+    assert "decisions in" in capsys.readouterr().err
+    assert sum("left out: " in text and "-0000.mcap: not a drive log" in text for text in caplog.messages) == 1
+
+
 def _utc(after_s: float) -> str:
     from datetime import datetime, timezone
 
