@@ -156,9 +156,9 @@ def limit_processor(cores: Sequence[int]) -> str | None:
 
 
 def raise_priority(priority: int) -> str | None:
-    """Real-time priority (SCHED_RR) of the calling thread; a sentence where that failed."""
-    try:
-        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(priority))
+    """Real-time priority (SCHED_RR) of the calling thread alone; a sentence where that failed."""
+    try:  # threads that it starts would inherit it
+        os.sched_setscheduler(0, os.SCHED_RR | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
     except (OSError, AttributeError) as error:
         return (
             f"runtime.realtime_priority = {priority}: not allowed ({getattr(error, 'strerror', None) or error}); "

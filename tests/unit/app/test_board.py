@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import threading
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -78,6 +80,41 @@ def test_free_memory_between_living_blocks_goes_back_to_the_system() -> None:
     board.trim_memory()
     assert resident() < full - 100
     assert len(last) == 100_000
+
+
+def in_a_thread(work: Callable[[], object]) -> None:
+    thread = threading.Thread(target=work)  # priorities are a thread's own: later tests must not run with them
+    thread.start()
+    thread.join()
+
+
+def test_real_time_priority_is_of_one_thread_alone() -> None:
+    policies: list[int | str] = []
+
+    def decide() -> None:
+        failed = board.raise_priority(1)
+        if failed is not None:
+            policies.append(failed)
+            return
+        policies.append(os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK)
+        in_a_thread(lambda: policies.append(os.sched_getscheduler(0)))
+
+    in_a_thread(decide)
+    if len(policies) == 1:
+        pytest.skip(str(policies[0]))
+    assert policies == [os.SCHED_RR, os.SCHED_OTHER]
+
+
+def test_real_time_priority_is_not_handed_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "SCHED_RR", os.SCHED_BATCH)  # asks for no privilege; the flag is the same
+    flags: list[int] = []
+
+    def decide() -> None:
+        assert board.raise_priority(0) is None
+        flags.append(os.sched_getscheduler(0))
+
+    in_a_thread(decide)
+    assert flags == [os.SCHED_BATCH | os.SCHED_RESET_ON_FORK]
 
 
 def test_the_watch_looks_again(tmp_path: Path) -> None:
