@@ -98,6 +98,13 @@ def test_bad_input_is_one_line_and_the_right_code(
     assert "Traceback" not in err
 
 
+def test_a_known_camera_is_not_said_to_be_uncalibrated(capsys: pytest.CaptureFixture[str]) -> None:
+    _, _, err = run(capsys, "check-config", "--set", 'camera.prior="pi-v3"')
+    assert "f = 940 px by its data sheet, +- 5%" in err
+    assert "distances stay null" not in err
+    assert "distances stay null" in run(capsys, "check-config")[2]
+
+
 def test_wrong_usage_is_2(capsys: pytest.CaptureFixture[str], street: Path) -> None:
     assert run(capsys, "--no-such-option")[0] == 2
     assert run(capsys, "--dry-run", str(street), "measure", "x.png")[0] == 2

@@ -170,8 +170,13 @@ def check_models(config: Config, s: Surroundings) -> Iterator[Check]:
 def check_calibration(config: Config, s: Surroundings, path: Path | None) -> Iterator[Check]:
     """Whether there is one, and how old the file is that holds it."""
     c = config.camera
-    if c.fx_px is None:
+    camera = c.camera()
+    if camera is None:
         yield Check("calibration", "fail", "camera.fx_px is not set: no distances", "run `tmde-edge calibrate`")
+        return
+    if c.fx_px is None:
+        text = f"camera.prior = {c.prior!r}: f = {camera.fx_px:.0f} px, +- {camera.focal_sigma:.0%} in every distance"
+        yield Check("calibration", "warn", text, "run `tmde-edge calibrate`: it measures f of this camera")
         return
     missing = [k for k, v in (("height_m", c.height_m), ("to_bumper_m", c.to_bumper_m or None)) if v is None]
     age_days = (s.wall_s() - path.stat().st_mtime) / _DAY_S if path is not None and path.exists() else None

@@ -143,8 +143,14 @@ def check_parts(config: Config, base_dir: Path) -> list[str]:
     command = config.alerts.command
     if command and shutil.which(command[0]) is None:
         raise ConfigError(f"alerts.command {command[0]!r}: no such program, or not executable; give its full path")
-    if config.camera.fx_px is None:
+    camera = config.camera.camera()
+    if camera is None:
         notes.append("camera.fx_px is not set: distances stay null (fault uncalibrated), TTC from scale works")
+    elif config.camera.fx_px is None:
+        notes.append(
+            f"camera.prior = {config.camera.prior!r}: f = {camera.fx_px:.0f} px by its data sheet, +- {camera.focal_sigma:.0%} "
+            "in every distance until `tmde-edge calibrate` measures it"
+        )
     if not config.can.transmit:
         notes.append("can.transmit = false: silent, nothing is sent on the bus")
     if config.can.enabled and config.can.vehicle.speed is None and not config.can.vehicle.profile:

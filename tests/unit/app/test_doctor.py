@@ -123,6 +123,8 @@ def test_calibration_and_its_age(tmp_path: Path) -> None:
     assert state(1, *good) == "ok"
     assert state(400, *good) == "warn"
     assert state(1, good[0]) == "warn"
+    (prior,) = doctor.check_calibration(load(None, ['camera.prior="pi-v3"']), around(tmp_path), file)
+    assert (prior.state, "f = 940 px, +- 5% in every distance" in prior.text) == ("warn", True), prior.line()
 
 
 NODE = NodeInfo(

@@ -31,7 +31,9 @@ class About(msgspec.Struct, frozen=True, kw_only=True):
 
 def about_run(config: Config, source: str, can_log: str | None, made: str) -> About:
     """The facts of a dry run before its first frame."""
+    camera = config.camera.camera()
     return About(
-        source=source, made=made, fx_px=config.camera.fx_px, focal_sigma=config.camera.focal_sigma,
+        source=source, made=made, fx_px=camera.fx_px if camera is not None else None,
+        focal_sigma=camera.focal_sigma if camera is not None else config.camera.focal_sigma,
         expect=list(config.plates.expect), can_log=can_log, depth=config.depth.kind, alerts=config.alerts,
     )  # fmt: skip

@@ -13,13 +13,14 @@ import cv2
 import numpy as np
 import pytest
 
-from tmde_edge.app.report.about import About
+from tmde_edge.app.report.about import About, about_run
 from tmde_edge.app.report.page import page
 from tmde_edge.app.report.series import Series
 from tmde_edge.app.report.summary import sentences, tiles
 from tmde_edge.app.report.writer import ReportWriter, rebuild
 from tmde_edge.app.truth import TruthComparison, TruthRow, stats
 from tmde_edge.cli import main
+from tmde_edge.config import load
 from tmde_edge.errors import InputDataError, InputMissingError, UsageError
 
 
@@ -202,3 +203,10 @@ def test_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert (tmp_path / "b" / "index.html").exists()
     (tmp_path / "file").write_text("")
     assert main(["--dry-run", str(folder), "--report", str(tmp_path / "file"), "-q"]) == 2
+
+
+def test_a_known_camera_has_a_focal_length() -> None:
+    about = about_run(load(None, ['camera.prior="pi-v3"']), "drive.mp4", None, "today")
+    assert about.fx_px == pytest.approx(940, abs=1)
+    assert about.focal_sigma == 0.05
+    assert about_run(load(None, []), "drive.mp4", None, "today").fx_px is None
