@@ -82,7 +82,7 @@ class Estimation:
 
     def __init__(self, parts: Parts) -> None:
         self._p = parts
-        self._tracker = LeadTracker(parts.tracker)
+        self._tracker = LeadTracker(parts.tracker, metric=parts.camera is not None)
         self._policy = AlertPolicy(parts.alerts)
         self._travel = TravelCheck()
         self._travelled_ns: dict[int, int] = {}
@@ -348,8 +348,9 @@ class Estimation:
         # The lead's braking counts as far as it stands out of its noise.
         accel = min(0.0, f.accel_mps2)
         accel *= max(0.0, 1.0 - max(float(f.covariance[2, 2]), 0.0) / max(accel**2, 1e-9))
-        # A driver who brakes as well has seen it: only what the lead brakes harder counts.
-        accel = min(0.0, accel + self._tracker.ego_motion.braking_mps2())
+        # A driver who brakes as well has seen it: only what the lead brakes harder counts, as in a relative acceleration.
+        if f.lead_speed_mps is not None:
+            accel = min(0.0, accel + self._tracker.ego_motion.braking_mps2())
         return Situation(
             t_ns=t_ns,
             present=True,

@@ -69,10 +69,14 @@ class Track:
 
 
 class LeadTracker:
-    """All tracks, fed with ranges and time."""
+    """All tracks, fed with ranges and time.
 
-    def __init__(self, settings: TrackerSettings) -> None:
+    `metric` False: distances of unknown scale (uncalibrated). Our speed in true metres must not meet them: tracks are relative.
+    """
+
+    def __init__(self, settings: TrackerSettings, *, metric: bool = True) -> None:
         self._s = settings
+        self._metric = metric
         self.tracks: dict[int, Track] = {}
         self.ego_motion = EgoMotion()
         self.path = OwnPath()
@@ -115,15 +119,17 @@ class LeadTracker:
         return 0.0 if self._ego is None or self._ego.yaw_rate_radps is None else self._ego.yaw_rate_radps
 
     def _approach_mps(self, lateral_m: float) -> float | None:
-        """How fast what stands at this lateral place comes nearer along our axis; None where our speed is not known.
+        """How fast what stands at this lateral place comes nearer along our axis; None where that is not known.
 
         The axis turns with us: z falls by v + x yaw, so what stands beside a bend must not look as if it drove.
         """
-        return None if self._ego is None else self._ego.speed_mps + lateral_m * self._yaw_radps()
+        if self._ego is None or not self._metric:
+            return None
+        return self._ego.speed_mps + lateral_m * self._yaw_radps()
 
     def _travel_m(self, track: Track, from_ns: int, to_ns: int) -> float:
         """The same over a time: our way, and what our turning adds at this track's place."""
-        if self._ego is None:
+        if self._ego is None or not self._metric:
             return 0.0
         return self.ego_motion.travel_m(from_ns, to_ns) + track.lateral_m * self._yaw_radps() * (to_ns - from_ns) * 1e-9
 

@@ -119,6 +119,32 @@ def test_uncalibrated_gives_ttc_without_metres() -> None:
     assert last.alert.level == "warning"
 
 
+@pytest.mark.parametrize("focal_px", [0.45 * W, 0.55 * W, 0.9 * W, 1.6 * W])
+@pytest.mark.parametrize(("lead_mps", "lead_brakes_mps2", "brakes_mps2"), [(0.0, 0.0, 0.0), (12.0, 6.0, 3.0)])
+def test_uncalibrated_own_speed_changes_no_warning(
+    focal_px: float, lead_mps: float, lead_brakes_mps2: float, brakes_mps2: float
+) -> None:
+    """Metres of an unknown lens and true metres a second must not meet: a standing car would come towards us."""
+
+    def drive(can: bool) -> list[FrameResult]:
+        e = make('plates.expect=["de-mittel"]', *VEHICLE)
+        gap_m, own, lead, out = 35.0 if lead_mps == 0.0 else 14.0, 12.0, lead_mps, []
+        for k in range(60):
+            if can:
+                e.step(speed_frame(k / 30, own))
+            out.append(result_of(e.step(sighting(k, plate(gap_m * F_PX / focal_px, noise_px=0.02, seed=k)))))
+            gap_m += (lead - own) / 30
+            own, lead = own - brakes_mps2 / 30, max(lead - lead_brakes_mps2 / 30, 0.0)
+        return out
+
+    with_can, without = drive(True), drive(False)
+    assert with_can[-1].ego is not None
+    assert without[-1].ego is None
+    assert [r.alert for r in with_can] == [r.alert for r in without]
+    assert [r.lead is not None for r in with_can] == [r.lead is not None for r in without]
+    assert with_can[-1].alert.level == "warning"
+
+
 def test_dropout_is_bridged_with_growing_sigma_then_ends() -> None:
     e = make(*CALIBRATED)
     for k in range(60):
