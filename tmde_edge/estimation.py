@@ -360,7 +360,7 @@ class Estimation:
             closing_mps=-f.range_rate_mps if metric else None,
             closing_sigma_mps=math.sqrt(max(float(f.covariance[1, 1]), 0.0)) if metric else None,
             required_decel_mps2=required_decel_mps2(gap_m, f.range_rate_mps) if metric else None,
-            standing=not track.moved and not self._tracker.path.lane_seen(t_ns, f.distance_m),
+            standing=track.stands and not self._tracker.path.lane_seen(t_ns, f.distance_m),
             headway_s=None if lead.headway_s is None or ego is None else gap_m / ego.speed_mps,
             ego_speed_mps=ego.speed_mps if ego is not None else None,
             brake_pressed=ego.brake_pressed if ego is not None else None,

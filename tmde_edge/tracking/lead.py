@@ -24,6 +24,7 @@ SEEN_AGAIN = 5  # measurements after which alerts rest on the filter with depth 
 GUESS_LASTS_S = 2.0  # an outline that is only carried along keeps its error about this long
 REAR_DEPTH_M = 0.15  # how far, one sigma, the vehicle's rear lies in front of or behind the plate's plane
 CARRIES_S = 0.45  # a growth this old still stands: they come every 0.2 s
+SPEED_LASTS_NS = 2_000_000_000  # what was known of its speed over ground holds this long while our own is lost
 SAME_VEHICLE_LATERAL_M = 0.9  # a new identity this near to a coasting track is that vehicle again
 
 
@@ -44,7 +45,10 @@ class Track:
     hits: int = 1
     in_path: bool = False
     in_path_since_ns: int = 0
-    moved: bool = False  # was ever seen to move over ground, or that was not known
+    moved: bool = False  # was ever surely seen to move over ground
+    oncoming: bool = False  # came towards us when its speed over ground was last known
+    speed_ns: int | None = None  # when that was
+    stood: bool = False  # was last judged as what stands
     depth_ns: int | None = None  # when a distance by depth was last taken
     without_depth: RangeFilter | None = None  # since only depth carried: what would be known without it
     seen_again: int = 0  # measurements since then
@@ -54,6 +58,16 @@ class Track:
     def evidence(self) -> RangeFilter:
         """What alerts may rest on: never depth alone."""
         return self.without_depth if self.without_depth is not None else self.filter
+
+    @property
+    def speed_known(self) -> bool:
+        """Whether its speed over ground is known, or was a moment ago."""
+        return self.speed_ns is not None and self.t_ns - self.speed_ns <= SPEED_LASTS_NS
+
+    @property
+    def stands(self) -> bool:
+        """Whether it was never seen to move; where its speed over ground is not known, it may."""
+        return self.speed_known and not self.moved
 
     @property
     def filters(self) -> tuple[RangeFilter, ...]:
@@ -257,13 +271,23 @@ class LeadTracker:
         """Lateral offset of a track (right positive) from the path that speed and yaw rate predict, and its sigma."""
         return self.path.offset_m(track.t_ns, track.lateral_m, track.lateral_sigma_m, track.filter.distance_m)
 
+    def _judge(self, track: Track) -> None:
+        """What a track's speed over ground tells. Only evidence counts: a loss of our own speed tells nothing."""
+        speed = track.filter.lead_speed_mps
+        if self._ego is None or speed is None:
+            return
+        track.speed_ns = track.t_ns
+        track.moved = track.moved or _moved(track, speed)
+        track.oncoming = _oncoming(track, speed, self._ego.speed_mps)
+
     def _in_path(self, track: Track) -> bool:
         """With hysteresis. What stands and never moved is mostly parked: lane and arc must both lead to it."""
-        if _oncoming(track, self._ego):
+        if track.oncoming and track.speed_known:
             return False
         offset_m, sigma_m = self.path_offset_m(track)
-        if not track.moved:
-            limit_m = self._s.standing_leave_m if track.in_path else self._s.standing_half_width_m
+        if track.stands:
+            # The wide path of what may move keeps nothing in this one.
+            limit_m = self._s.standing_leave_m if track.in_path and track.stood else self._s.standing_half_width_m
             arc_m, arc_sigma_m = self.path.arc_offset_m(track.lateral_m, track.lateral_sigma_m, track.filter.distance_m)
             worst_m = max(abs(o) + self._s.standing_sigma * s for o, s in ((offset_m, sigma_m), (arc_m, arc_sigma_m)))
             return worst_m <= limit_m
@@ -273,8 +297,9 @@ class LeadTracker:
         """The lead at t_ns: nearest in the path; a nearer one must stay in it for lead_hold_s to take over."""
         candidates = []
         for track in self.tracks.values():
-            track.moved = _moved(track, self._ego)
+            self._judge(track)
             inside = self._in_path(track)
+            track.stood = track.stands
             if inside and not track.in_path:
                 track.in_path_since_ns = t_ns
             track.in_path = inside
@@ -309,19 +334,13 @@ def _grow(state: RangeFilter, change: ScaleChange, sigma: float, t_ns: int) -> I
     return innovation
 
 
-def _moved(track: Track, ego: EgoState | None) -> bool:
-    """Whether a track was ever seen to move over ground; where the own speed is not known it may have."""
-    speed = track.filter.lead_speed_mps
-    if track.moved or ego is None or speed is None:
-        return True
+def _moved(track: Track, speed_mps: float) -> bool:
+    """Whether it surely drives away from where it is, also where its plate's size is not quite known."""
     sigma = math.sqrt(max(float(track.filter.covariance[1, 1]), 0.0))
-    return speed - 2.0 * math.hypot(sigma, track.scale_sigma * track.filter.range_rate_mps) > STANDING_MPS
+    return speed_mps - 2.0 * math.hypot(sigma, track.scale_sigma * track.filter.range_rate_mps) > STANDING_MPS
 
 
-def _oncoming(track: Track, ego: EgoState | None) -> bool:
+def _oncoming(track: Track, speed_mps: float, ego_mps: float) -> bool:
     """Whether it comes towards us, by more than a wrong size of its plate would feign: never a lead."""
-    speed = track.filter.lead_speed_mps
-    if ego is None or speed is None:
-        return False
     sigma = math.sqrt(max(float(track.filter.covariance[1, 1]), 0.0))
-    return speed + 2.0 * sigma < -max(ONCOMING_MPS, ONCOMING_SHARE * ego.speed_mps)
+    return speed_mps + 2.0 * sigma < -max(ONCOMING_MPS, ONCOMING_SHARE * ego_mps)

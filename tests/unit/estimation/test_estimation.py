@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -211,6 +212,27 @@ def test_headway_ends_at_the_own_bumper() -> None:
     assert told[-1].lead is not None
     assert told[-1].lead.distance_m is not None
     assert told[-1].lead.distance_m < 2.0
+
+
+@pytest.mark.parametrize("lost_s", [(0.0, 0.1), (0.9, 1.4)])
+def test_a_gap_on_can_is_no_reason_to_warn_of_a_parked_car(lost_s: tuple[float, float]) -> None:
+    """Beside our path nothing is said of it; straight ahead it is warned of when it would have been without the gap."""
+
+    def levels(lateral_m: float, lost_s: tuple[float, float]) -> list[str]:
+        e, out = make(*CALIBRATED, *VEHICLE), []
+        for k in range(100):
+            for step in range(3):
+                t_s = (k * 3 + step) / 90
+                if not lost_s[0] <= t_s < lost_s[1]:
+                    e.step(speed_frame(t_s, 12.0))
+            seen = plate(48.0 - 12.0 * k / 30, lateral_m=lateral_m, noise_px=0.05, seed=k)
+            out.append(result_of(e.step(replace(sighting(k, seen), t_ns=round((k * 3 + 2) / 90 * 1e9)))).alert.level)
+        return out
+
+    assert set(levels(1.0, lost_s)) == {"none"}
+    gapless = levels(0.0, (-1.0, -1.0))
+    assert "warning" in gapless
+    assert levels(0.0, lost_s).index("warning") == gapless.index("warning")
 
 
 def test_own_braking_is_not_the_lead_fleeing() -> None:

@@ -100,14 +100,18 @@ def test_scale_sigma_is_never_averaged_away() -> None:
 
 
 def towards(tracker: LeadTracker, *, closing_mps: float, lateral_m: float, ego_mps: float = 14.0, yaw_to_radps: float = 0.0,
-            seconds: float = 1.5) -> list[bool]:
-    """In the path or not, frame by frame, of one vehicle that begins 50 m ahead; the wheel turns over the last half second."""
+            seconds: float = 1.5, lost_s: tuple[float, float] = (-1.0, -1.0)) -> list[bool]:
+    """In the path or not, frame by frame, of one vehicle that begins 50 m ahead; the wheel turns over the last half second.
+
+    In the time lost_s our own speed is not known.
+    """
     inside = []
     frames = round(seconds * 30)
     for k in range(frames):
         t = k * DT_NS
         share = max(0.0, (k - (frames - 15)) / 15)
-        tracker.set_ego(EgoState(t_ns=t, speed_mps=ego_mps, yaw_rate_radps=yaw_to_radps * share))
+        known = not lost_s[0] <= k / 30 < lost_s[1]
+        tracker.set_ego(EgoState(t_ns=t, speed_mps=ego_mps, yaw_rate_radps=yaw_to_radps * share) if known else None)
         tracker.predict(t)
         track = tracker.update(measured(1, t, 50.0 - closing_mps * t * 1e-9, lateral_m), "plate")
         tracker.choose(t)
@@ -126,10 +130,40 @@ def test_a_vehicle_that_drove_is_no_parked_one_when_it_stops() -> None:
     towards(t, closing_mps=4.0, lateral_m=0.0)
     track = t.tracks[1]
     assert track.moved
-    assert not LeadTracker(S).tracks
+    assert not track.stands
     still = LeadTracker(S)
     towards(still, closing_mps=14.0, lateral_m=0.0)
-    assert not still.tracks[1].moved
+    assert still.tracks[1].stands
+
+
+@pytest.mark.parametrize("lost_s", [(0.0, 0.03), (0.0, 0.15), (0.5, 0.65), (0.5, 1.3), (0.5, 2.2)])
+def test_losing_our_own_speed_for_a_moment_makes_no_parked_car_drive(lost_s: tuple[float, float]) -> None:
+    t = LeadTracker(S)
+    assert not any(towards(t, closing_mps=14.0, lateral_m=1.0, seconds=2.5, lost_s=lost_s)[6:])
+    assert t.tracks[1].stands
+    ahead = LeadTracker(S)
+    assert all(towards(ahead, closing_mps=14.0, lateral_m=0.2, seconds=2.5, lost_s=lost_s)[6:])
+    slower = LeadTracker(S)
+    assert all(towards(slower, closing_mps=8.0, lateral_m=1.0, seconds=2.5, lost_s=lost_s)[6:])
+    assert not slower.tracks[1].stands
+
+
+def test_nor_does_it_make_a_lead_of_the_oncoming() -> None:
+    t = LeadTracker(S)
+    assert not any(towards(t, closing_mps=22.0, lateral_m=0.0, seconds=2.0, lost_s=(0.8, 1.6))[10:])
+
+
+def test_what_is_not_known_for_long_may_drive() -> None:
+    """A car that stood may have driven off since: the wide path and the early thresholds again, until we know better."""
+    t = LeadTracker(S)
+    inside = towards(t, closing_mps=10.0, lateral_m=1.0, ego_mps=10.0, seconds=4.0, lost_s=(1.0, 3.5))
+    assert not any(inside[6:85])
+    assert inside[100]
+    assert not any(inside[106:])
+    assert t.tracks[1].stands
+    coming = towards(LeadTracker(S), closing_mps=8.0, lateral_m=0.0, ego_mps=2.0, seconds=4.0, lost_s=(1.0, 3.5))
+    assert not any(coming[10:85])
+    assert coming[100]
 
 
 def test_the_turning_wheel_takes_what_stands_ahead_out_of_the_path_before_the_arc_does() -> None:
