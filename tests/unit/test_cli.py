@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import importlib.util
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -11,7 +13,7 @@ import numpy as np
 import pytest
 
 from tmde_edge.adapters.cameras.sources import open_source
-from tmde_edge.app.drive_log import DriveLogReader
+from tmde_edge.app.drive_log import DriveLogReader, DriveLogWriter
 from tmde_edge.cli import main
 from tmde_edge.messages import Sighting
 
@@ -63,15 +65,20 @@ DBC = '[can.vehicle]\ndbc = "car.dbc"\nspeed = {message = "SPEED", signal = "SPE
         ("missing truth", 66, "nowhere.csv"),
         ("bad --fps", 2, "--fps"),
         ("offset without log", 2, "--can-offset"),
+        ("log without configuration", 65, "carries no configuration"),
+        ("calibration that cannot be read", 65, "cannot be read (Input/output error)"),
     ],
 )
 def test_bad_input_is_one_line_and_the_right_code(
-    what: str, code: int, says: str, tmp_path: Path, street: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+    what: str, code: int, says: str, tmp_path: Path, street: Path, capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
     (tmp_path / "empty").mkdir()
     dry = ["--dry-run", str(street), "-q"]
     config = str(tmp_path / "c.toml")
     Path(config).write_text(DBC)
+    DriveLogWriter(tmp_path / "d.mcap", {}).close()
+    monkeypatch.setattr(Path, "read_text", _refusing(Path.read_text, "cam.yaml"))
     args = {
         "missing file": ["--dry-run", str(tmp_path / "no.mp4")],
         "empty folder": ["--dry-run", str(tmp_path / "empty")],
@@ -87,6 +94,8 @@ def test_bad_input_is_one_line_and_the_right_code(
         "missing truth": [*dry, "--truth", str(tmp_path / "nowhere.csv")],
         "bad --fps": [*dry, "--fps", "0"],
         "offset without log": [*dry, "--can-offset", "1"],
+        "log without configuration": ["replay", str(tmp_path / "d.mcap")],
+        "calibration that cannot be read": ["calibrate", "--import", bad(tmp_path, "cam.yaml", b"x: 1")],
     }[what]
     if what == "unreadable DBC":
         bad(tmp_path, "car.dbc", b"\x00\xff this is no DBC \xfe")
@@ -105,7 +114,23 @@ def test_a_known_camera_is_not_said_to_be_uncalibrated(capsys: pytest.CaptureFix
     assert "distances stay null" in run(capsys, "check-config")[2]
 
 
+def _refusing(read: Callable[..., str], name: str) -> Callable[..., str]:
+    def reads(path: Path, *args: object, **more: object) -> str:
+        if path.name == name:
+            raise OSError(errno.EIO, "Input/output error")
+        return read(path, *args, **more)
+
+    return reads
+
+
 def test_wrong_usage_is_2(capsys: pytest.CaptureFixture[str], street: Path) -> None:
+    for number in ("nan", "-inf", "1e999"):
+        code, _, err = run(capsys, "--dry-run", str(street), "--can-log", "x.log", f"--can-offset={number}")
+        assert code == 2
+        assert f"--can-offset: invalid number value: '{number}'" in err
+    code, _, err = run(capsys, "calibrate", "--check", str(street / "000.png"), "--distances", "3", "--tolerance", "nan")
+    assert code == 2
+    assert "--tolerance: invalid number value" in err
     assert run(capsys, "--no-such-option")[0] == 2
     assert run(capsys, "--dry-run", str(street), "measure", "x.png")[0] == 2
     assert run(capsys, "simulate")[0] == 2

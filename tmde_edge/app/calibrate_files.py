@@ -142,7 +142,10 @@ def read_camera(path: Path, focal_sigma: float) -> tuple[Camera, str]:
     """
     if not path.is_file():
         raise InputMissingError(f"{path}: no such calibration file")
-    text = path.read_text(encoding="utf-8", errors="replace")
+    try:
+        text = path.read_text(encoding="utf-8", errors="replace")
+    except OSError as e:
+        raise InputDataError(f"{path}: cannot be read ({e.strerror or e})") from None
     opencv = text.startswith("%YAML:1.0") or "opencv-matrix" in text or text.lstrip().startswith("<?xml")
     values = _opencv_values(path) if opencv else _ros_values(path, text)
     matrix, lens = np.asarray(values["matrix"], np.float64), np.asarray(values["distortion"], np.float64).ravel()

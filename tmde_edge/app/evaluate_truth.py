@@ -56,13 +56,14 @@ def recording_truth(folder: Path) -> dict[int, TrueFrame]:
     frames: dict[int, TrueFrame] = {}
     path = folder / "truth.csv"
     rows = read_rows(path)
-    everyone = folder / "vehicles.csv"
-    plates = read_rows(everyone) if everyone.exists() else rows
     for i, row in enumerate(rows):
         frame = frames.setdefault(_int(row.get("frame", ""), path, i) if row.get("frame") else i, TrueFrame())
         distance_m = _float(row.get("distance_m") or row.get("lidar_z_plate_m") or "", path, i)
         frame.lead_m = distance_m
-    for i, row in enumerate(plates):
+    everyone = folder / "vehicles.csv"
+    if everyone.exists():
+        path, rows = everyone, read_rows(everyone)
+    for i, row in enumerate(rows):
         number = _int(row.get("frame", ""), path, i) if row.get("frame") else i
         plate = _plate(row, path, i)
         if plate is not None and number in frames:
@@ -134,7 +135,10 @@ def rows_of(record: Record, truth: TrueFrame, base: Row, has_images: bool = True
     rows: list[Row] = []
     if "error" in record:
         rows = [{**base, "found": 0.0, "ranged": 0.0, "error": record["error"]} for _ in truth.plates]
-        return rows or [{**base, "error": record["error"]}]
+        rows = rows or [{**base, "error": record["error"]}]
+        if truth.lead_m is not None:
+            rows[0] |= {"lead_true_m": truth.lead_m, "lead_reported": 0.0}
+        return rows
     found = list(record["plates"])
     boxes = [_box(p["corners"]) for p in found]
     used: set[int] = set()

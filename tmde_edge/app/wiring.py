@@ -191,11 +191,14 @@ def estimation_of_log(path: Path, kept: dict[str, Any], folder: Path, over: dict
 
     Raises InputDataError, ConfigError.
     """
-    config = from_tree(merged(kept["values"], over or {}), f"configuration in {path}")
+    values, files = kept.get("values"), kept.get("files", {})
+    if not isinstance(values, dict) or not isinstance(files, dict):
+        raise InputDataError(f"{path}: carries no configuration to decide with; was it made by `--record` or the service?")
+    config = from_tree(merged(values, over or {}), f"configuration in {path}")
     # The file's own path may lie anywhere; inside the replay it is just a name.
     vehicle = config.can.vehicle
     renamed: dict[str, str] = {}
-    for i, (name, text) in enumerate(kept["files"].items()):
+    for i, (name, text) in enumerate(files.items()):
         renamed[name] = f"{i}-{Path(name).name}"
         (folder / renamed[name]).write_bytes(text.encode("utf-8", errors="surrogateescape"))
     vehicle = msgspec.structs.replace(vehicle, dbc=renamed.get(vehicle.dbc or "", vehicle.dbc))

@@ -6,7 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from tmde_edge.cli.common import Verbs, base_dir, say
+from tmde_edge.cli.common import Verbs, base_dir, number, say
 from tmde_edge.errors import UsageError
 
 
@@ -19,28 +19,28 @@ def _calibrate_options(sub: argparse.ArgumentParser) -> None:
     what = sub.add_argument_group("what to calibrate with (default: a plate before the live camera, with prompts)")
     what.add_argument("--images", nargs="+", metavar="FILE", default=[], help="stills, or folders of them")
     what.add_argument("--video", metavar="FILE", help="a video; its sharp frames are picked")
-    what.add_argument("--at", nargs="+", type=float, metavar="SECONDS", default=[], help="--video: when each capture is")
+    what.add_argument("--at", nargs="+", type=number, metavar="SECONDS", default=[], help="--video: when each capture is")
     what.add_argument("--live", action="store_true", help="the camera of the configuration, also with --camera")
-    what.add_argument("--distances", nargs="+", type=float, metavar="M", default=[], help="one a capture (default 2 5 10)")
+    what.add_argument("--distances", nargs="+", type=number, metavar="M", default=[], help="one a capture (default 2 5 10)")
     what.add_argument("--standard", metavar="ID", help="the plate; `tmde-edge plates list`")
     what.add_argument("--plate-mm", metavar="WxH", help="this plate's size by a ruler: surer than its standard")
-    what.add_argument("--char-mm", type=float, metavar="MM", help="height of its characters by a ruler")
+    what.add_argument("--char-mm", type=number, metavar="MM", help="height of its characters by a ruler")
     what.add_argument("--straight", action="store_true", help="distances are from lens to plate, not along the road")
     what.add_argument("--fit-offset", action="store_true", help="the tape's beginning against the lens is a second unknown")
-    what.add_argument("--tape-sigma-m", type=float, default=0.005, metavar="M", help="error of a distance (default 0.005)")
+    what.add_argument("--tape-sigma-m", type=number, default=0.005, metavar="M", help="error of a distance (default 0.005)")
     what.add_argument("--chessboard", metavar="CxR", help="a board of so many inner corners instead of a plate")
     what.add_argument("--charuco", metavar="CxR", help="a ChArUco board of so many squares")
     what.add_argument("--dictionary", default="DICT_4X4_50", metavar="NAME", help="--charuco: its markers")
-    what.add_argument("--marker-share", type=float, default=0.75, metavar="X", help="--charuco: marker side over square side")
+    what.add_argument("--marker-share", type=number, default=0.75, metavar="X", help="--charuco: marker side over square side")
     what.add_argument("--legacy-pattern", action="store_true", help="--charuco: a board of OpenCV before 4.6")
     other = sub.add_argument_group("other ways, and afterwards")
     other.add_argument("--camera", metavar="NAME", help="a known camera's prior until calibrated, 5 %%; `list` names them")
-    other.add_argument("--lens-mm", type=float, metavar="MM", help="--camera: its exchangeable lens")
+    other.add_argument("--lens-mm", type=number, metavar="MM", help="--camera: its exchangeable lens")
     other.add_argument("--import", dest="import_file", metavar="FILE", type=Path, help="ROS camera_info or OpenCV YAML")
     other.add_argument("--export", dest="export_file", metavar="FILE", type=Path, help="the configuration's calibration")
     other.add_argument("--format", choices=["ros", "opencv"], default="ros", help="--export: which YAML (default ros)")
     other.add_argument("--check", action="store_true", help="a plate at one known distance: pass or fail in one line")
-    other.add_argument("--tolerance", type=float, default=0.03, metavar="X", help="--check: allowed error (default 0.03)")
+    other.add_argument("--tolerance", type=number, default=0.03, metavar="X", help="--check: allowed error (default 0.03)")
     other.add_argument("--camera-id", default="", metavar="TEXT", help="which camera this is, for the record")
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
@@ -47,6 +48,14 @@ def common_options(parser: argparse.ArgumentParser, *, top: bool = False, severa
     )  # fmt: skip
     parser.add_argument("-q", "--quiet", action="store_true", default=flag, help="no progress, no summary")
     parser.add_argument("-v", "--verbose", action="store_true", default=flag, help="more detail, tracebacks of errors")
+
+
+def number(text: str) -> float:
+    """The type of every option that is a number: `nan` and `inf` are none."""
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError
+    return value
 
 
 def output_options(parser: argparse._ActionsContainer, *, top: bool = False) -> None:

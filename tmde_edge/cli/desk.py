@@ -8,7 +8,18 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from tmde_edge.cli.common import TextOut, Verbs, base_dir, config_of, json_line, output_options, progress, progress_bar, say
+from tmde_edge.cli.common import (
+    TextOut,
+    Verbs,
+    base_dir,
+    config_of,
+    json_line,
+    number,
+    output_options,
+    progress,
+    progress_bar,
+    say,
+)
 from tmde_edge.errors import CheckFailedError, InputDataError, InputMissingError, UsageError
 
 
@@ -20,8 +31,8 @@ def add_dry_run(parser: argparse.ArgumentParser) -> None:
     )
     output_options(desk, top=True)
     desk.add_argument("--can-log", metavar="FILE", type=Path, help="candump .log, .asc, .blf, .trc, also .gz")
-    desk.add_argument("--can-offset", metavar="SECONDS", type=float, default=0.0, help="t_video = t_can - first + offset")
-    desk.add_argument("--fps", metavar="N", type=float, default=30.0, help="rate of images without a frames.csv (default 30)")
+    desk.add_argument("--can-offset", metavar="SECONDS", type=number, default=0.0, help="t_video = t_can - first + offset")
+    desk.add_argument("--fps", metavar="N", type=number, default=30.0, help="rate of images without a frames.csv (default 30)")
     desk.add_argument("--can-out", metavar="FILE", help="the CAN frames that would be sent, as candump -L")
     desk.add_argument("--video-out", metavar="FILE.mp4", type=Path, help="annotated video")
     desk.add_argument("--report", metavar="FOLDER", type=Path, help="HTML report with plots, thumbnails and a summary")

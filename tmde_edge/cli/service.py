@@ -7,7 +7,7 @@ import json
 import sys
 from pathlib import Path
 
-from tmde_edge.cli.common import Verbs, base_dir, config_of, say
+from tmde_edge.cli.common import Verbs, base_dir, config_of, number, say
 from tmde_edge.errors import UsageError
 
 
@@ -19,8 +19,8 @@ def add_view(verbs: Verbs) -> None:
     sub = verbs.add("view", _view, "the web page: over a recording, the configured camera (-c), or the service that runs")
     sub.add_argument("source", nargs="?", metavar="SOURCE", help="a recording as for --dry-run; played again and again")
     sub.add_argument("--can-log", metavar="FILE", type=Path, default=argparse.SUPPRESS, help="CAN beside the recording")
-    sub.add_argument("--can-offset", metavar="SECONDS", type=float, default=argparse.SUPPRESS, help="as for --dry-run")
-    sub.add_argument("--fps", metavar="N", type=float, default=argparse.SUPPRESS, help="rate of image folders (default 30)")
+    sub.add_argument("--can-offset", metavar="SECONDS", type=number, default=argparse.SUPPRESS, help="as for --dry-run")
+    sub.add_argument("--fps", metavar="N", type=number, default=argparse.SUPPRESS, help="rate of image folders (default 30)")
     sub.add_argument("--host", default=None, help="address to listen on (default view.host: this machine only)")
     sub.add_argument("--port", type=int, default=None, help="port (default view.port: 8470)")
 
@@ -44,8 +44,8 @@ def add_incident(verbs: Verbs) -> None:
     which.add_argument("--now", metavar="NOTE", nargs="?", const="", help="ask the running service to keep the last seconds")
     which.add_argument("--list", action="store_true", help="what is kept")
     sub.add_argument("--out", metavar="FOLDER", type=Path, help="where to (default: incident-... here)")
-    sub.add_argument("--before", metavar="SECONDS", type=float, default=10.0)
-    sub.add_argument("--after", metavar="SECONDS", type=float, default=10.0)
+    sub.add_argument("--before", metavar="SECONDS", type=number, default=10.0)
+    sub.add_argument("--after", metavar="SECONDS", type=number, default=10.0)
 
 
 def add_shadow_report(verbs: Verbs) -> None:

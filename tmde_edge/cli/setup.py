@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from tmde_edge.cli.common import Verbs, base_dir, config_of, progress_bar, say
+from tmde_edge.cli.common import Verbs, base_dir, config_of, number, progress_bar, say
 from tmde_edge.errors import ModelError, TmdeError, UsageError
 
 
@@ -41,7 +41,7 @@ def add_can(verbs: Verbs) -> None:
     sub = verbs.add("can", _can, "lets the service speak on the bus, or silences it")
     sub.add_argument("action", choices=["enable-transmit", "disable-transmit"])
     sub.add_argument("--yes", action="store_true", help="do not ask")
-    sub.add_argument("--seconds", type=float, default=60.0, metavar="N", help="how long to listen for collisions (default 60)")
+    sub.add_argument("--seconds", type=number, default=60.0, metavar="N", help="how long to listen for collisions (default 60)")
     sub.add_argument("--empty-bus", action="store_true", help="a bus without any traffic is right (a display of our own)")
 
 

@@ -13,7 +13,7 @@ import pytest
 
 from tmde_edge.app import evaluate as ev
 from tmde_edge.app.evaluate_metrics import compare, parts, scores
-from tmde_edge.app.evaluate_truth import TrueFrame, TruePlate, rows_of, still_labels
+from tmde_edge.app.evaluate_truth import TrueFrame, TruePlate, recording_truth, rows_of, still_labels
 from tmde_edge.cli import main
 from tmde_edge.errors import InputDataError, InputMissingError, UsageError
 from tmde_edge.simulation.camera import hd_camera
@@ -117,6 +117,16 @@ def test_rows_count_misses_false_plates_and_errors() -> None:
     (nothing,) = rows_of(record(plate(5)), TrueFrame(), {"recording": "r", "frame": 1})
     assert nothing["false_plates"] == 1.0
     assert [r["found"] for r in rows_of({"error": "x"}, truth, {"recording": "r"})] == [0.0, 0.0]
+    for plates in (truth.plates, []):  # a frame that cannot be read hides the lead as well
+        unread = rows_of({"error": "x"}, TrueFrame(plates=plates, lead_m=20.0), {"recording": "r"})
+        assert [r["lead_reported"] for r in unread if "lead_reported" in r] == [0.0]
+
+
+def test_a_bad_cell_is_told_of_the_file_it_stands_in(tmp_path: Path) -> None:
+    (tmp_path / "truth.csv").write_text("frame,distance_m\n0,20\n")
+    (tmp_path / "vehicles.csv").write_text("frame,x,y,w,h\n0,1,2,3,4\n0,1,2,wide,4\n")
+    with pytest.raises(InputDataError, match=r"vehicles\.csv line 3: 'wide'"):
+        recording_truth(tmp_path)
 
 
 def test_intervals_hold_the_truth_and_pair_the_draws() -> None:
