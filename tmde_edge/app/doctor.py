@@ -17,6 +17,7 @@ from typing import Any, Literal, TypeAlias
 from tmde_edge.app import board
 from tmde_edge.app.board import Run, read_text
 from tmde_edge.config import Config
+from tmde_edge.errors import TmdeError
 
 State: TypeAlias = Literal["ok", "warn", "fail", "skip"]
 _WARM_C = 70.0
@@ -190,6 +191,18 @@ def check_calibration(config: Config, s: Surroundings, path: Path | None) -> Ite
         yield Check("calibration", "ok", text)
 
 
+def check_configuration(config: Config, base_dir: Path) -> Iterator[Check]:
+    """What the service looks at before it starts, and ends on where it is wrong."""
+    from tmde_edge.app.wiring import check_parts
+
+    try:
+        check_parts(config, base_dir)
+    except TmdeError as error:
+        yield Check("configuration", "fail", str(error), "correct it; the service does not start with it")
+    else:
+        yield Check("configuration", "ok", "the service can start with it")
+
+
 def check_service(config: Config, s: Surroundings) -> Iterator[Check]:
     """How the service is, where it runs."""
     status = s.status()
@@ -207,6 +220,7 @@ def examine(config: Config, s: Surroundings, config_path: Path | None = None, ba
 
     subjects: Sequence[tuple[str, Callable[[], Iterator[Check]]]] = (
         ("service", lambda: check_service(config, s)),
+        ("configuration", lambda: check_configuration(config, base_dir)),
         ("camera", lambda: check_camera(config, s, base_dir)),
         ("calibration", lambda: check_calibration(config, s, config_path)),
         ("CAN", lambda: check_can(config, s, base_dir)),
@@ -221,6 +235,8 @@ def examine(config: Config, s: Surroundings, config_path: Path | None = None, ba
     for name, subject in subjects:
         try:
             found += subject()
+        except TmdeError as error:
+            found.append(Check(name, "fail", str(error), "correct the configuration"))
         except OSError as error:
             found.append(Check(name, "fail", f"cannot be examined ({error.strerror or error})", "run it as root, or report it"))
     return found

@@ -133,8 +133,16 @@ def build_attitude(config: Config, resting: RestingPose | None = None) -> Attitu
 
 
 def check_parts(config: Config, base_dir: Path) -> list[str]:
-    """Builds what can be wrong in a configuration beyond its values; returns notes for people. Raises ConfigError."""
+    """Builds what can be wrong in a configuration beyond its values; returns notes for people. Opens no device, loads no network.
+
+    Raises ConfigError, ModelError.
+    """
     build_estimation(config, base_dir)
+    build_camera(config, base_dir)
+    if config.detector.kind == "onnx":
+        from tmde_edge.adapters.detectors.onnx_plugin import detector_file
+
+        detector_file(config.detector)
     notes = []
     if config.can.enabled:
         notes += [f"can.vehicle: {note}" for note in load_vehicle_decoder(config.can, base_dir).notes]

@@ -127,6 +127,24 @@ def test_calibration_and_its_age(tmp_path: Path) -> None:
     assert (prior.state, "f = 940 px, +- 5% in every distance" in prior.text) == ("warn", True), prior.line()
 
 
+@pytest.mark.parametrize(
+    ("value", "piece"),
+    [('plates.expect=["xx-nowhere"]', "xx-nowhere"), ('alerts.command=["/no/such"]', "/no/such"),
+     ("camera.kind=gstreamer", "camera.pipeline"), ("detector.kind=onnx", "detector.onnx_path")],
+)  # fmt: skip
+def test_what_the_service_would_not_start_with(value: str, piece: str, tmp_path: Path) -> None:
+    (check,) = doctor.check_configuration(load(None, [value]), tmp_path)
+    assert (check.state, piece in check.text) == ("fail", True), check.line()
+    (check,) = doctor.check_configuration(load(None, []), tmp_path)
+    assert check.state == "ok"
+
+
+def test_a_wrong_configuration_does_not_end_the_doctor(tmp_path: Path) -> None:
+    values = ['plates.expect=["xx-nowhere"]', "detector.kind=contour", "can.enabled=false", f"camera.device={tmp_path / 'v'}"]
+    found = states(doctor.examine(load(None, values), around(tmp_path), None, tmp_path))
+    assert (found["configuration"], found["models"], "memory" in found) == ("fail", "fail", True)
+
+
 NODE = NodeInfo(
     card="HD cam", driver="uvcvideo", formats=("MJPG", "YUYV"), captures=True, autofocus=False, autoexposure=True, focus=0
 )
@@ -286,7 +304,8 @@ def test_the_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixt
     assert main(arguments) == 1
     told = json.loads(capsys.readouterr().out)
     assert told["ready"] is False
-    assert {c["name"] for c in told["checks"]} >= {"service", "camera", "calibration", "CAN", "models", "clock", "disk"}
+    names = {c["name"] for c in told["checks"]}
+    assert names >= {"service", "configuration", "camera", "calibration", "CAN", "models", "clock", "disk"}
     assert all(c["fix"] or c["state"] != "fail" for c in told["checks"])
     lines = [Check("camera", "fail", "is gone", "plug it in").line()]
     assert lines == ["FAIL  camera       is gone -> plug it in"]

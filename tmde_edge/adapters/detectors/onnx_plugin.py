@@ -20,14 +20,20 @@ MULTIPLE_PX = 32
 OPEN_SIZE_PX = 640  # longer side where neither graph nor configuration says
 
 
+def detector_file(settings: DetectorSettings) -> Path:
+    """The file of `detector.onnx_path`. Raises ModelError where there is none."""
+    path = Path(settings.onnx_path)
+    if not settings.onnx_path or not path.is_file():
+        raise ModelError(f"detector.onnx_path = {settings.onnx_path!r}: no such file; name the ONNX file of your detector")
+    return path
+
+
 class OnnxFinder:
     """Finds plates with `detector.onnx_path`. Raises ModelError for a file that is missing, broken or of another family."""
 
     def __init__(self, settings: DetectorSettings, threads: int = 1) -> None:
         self._settings = settings
-        path = Path(settings.onnx_path)
-        if not settings.onnx_path or not path.is_file():
-            raise ModelError(f"detector.onnx_path = {settings.onnx_path!r}: no such file; name the ONNX file of your detector")
+        path = detector_file(settings)
         ort.disable_telemetry_events()
         options = ort.SessionOptions()
         options.intra_op_num_threads = threads
