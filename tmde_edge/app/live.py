@@ -34,6 +34,7 @@ INBOX_EVENTS = 4000  # at 5,000 CAN frames a second still most of a second
 OVERLOAD_HOLD_NS = 2_000_000_000  # "overload" stays in force this long after its cause
 LATE_NS = 500_000_000  # a sighting that waited longer for its decision is a sign of overload
 STATUS_PERIOD_NS = 1_000_000_000
+START_NS = 5_000_000_000  # a camera may take so long to give its first picture: after it the service is blind
 JOIN_S = 2.0
 COOL_C = 5.0  # a hot board is no longer hot this far below its limit
 
@@ -150,6 +151,7 @@ class LiveLoop:
         self._error: BaseException | None = None
         self._overload_ns: int | None = None
         self._fed_ns = self._status_ns = 0
+        self._started_ns = monotonic_ns()
         self._last: FrameResult | None = None
         self._bus: BusPort | None = None
 
@@ -301,7 +303,11 @@ class LiveLoop:
     def faults(self, now_ns: int) -> tuple[str, ...]:
         """Everything that is wrong now, as the adapters and the estimation know it."""
         last = self._last
-        return tuple(dict.fromkeys((*self._faults(now_ns), *(last.faults if last is not None else ()))))
+        if last is not None:
+            decided = last.faults
+        else:
+            decided = ("blind",) if now_ns - self._started_ns > START_NS else ()
+        return tuple(dict.fromkeys((*self._faults(now_ns), *decided)))
 
     @property
     def last(self) -> FrameResult | None:

@@ -69,11 +69,13 @@ class Reporter:
         loop, counters = self._loop, self._loop.counters
         faults, last, board = loop.faults(now_ns), loop.last, self._board()
         watched = loop.camera
+        begins = last is None and "blind" not in faults
+        state = "init" if begins else "fault" if _SEVERE & set(faults) else "degraded" if faults else "ready"
         return {
             "version": __version__,
             "pid": os.getpid(),
             "uptime_s": round((now_ns - self._started_ns) * 1e-9, 1),
-            "state": "init" if last is None else "fault" if _SEVERE & set(faults) else "degraded" if faults else "ready",
+            "state": state,
             "faults": list(faults),
             "frames": {
                 **loop.stats.record(now_ns), "decided": counters.sightings, "skipped": counters.skipped, "shed": counters.shed,

@@ -205,6 +205,18 @@ def test_changes_are_told_once_with_their_fields(caplog: pytest.LogCaptureFixtur
                                    "distance_m": None}]  # fmt: skip
 
 
+def test_a_camera_that_never_came_is_told(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO)
+    teller = Teller()
+    for t_s in range(10):  # the service speaks, and nothing is ever decided
+        teller.service({"t": t_s, "faults": ["camera_lost", *(["blind"] if t_s > 5 else [])]})
+    for i in range(150):
+        teller.frame(result(10 + i / 20), None)
+        teller.service({"t": 10 + i / 20, "faults": ["blind"]})  # by now the results tell
+    told = [r.getMessage() for r in caplog.records]
+    assert told == ["fault: camera_lost", "fault: blind", "no longer: camera_lost", "no longer: blind"]
+
+
 def test_the_first_moments_without_a_picture_are_no_fault(caplog: pytest.LogCaptureFixture) -> None:
     teller = Teller()
     teller.take(result(0.0, "none", "camera_lost"))

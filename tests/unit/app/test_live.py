@@ -23,7 +23,9 @@ from tmde_edge.app.background_log import BackgroundLog
 from tmde_edge.app.board import BoardState
 from tmde_edge.app.live import LiveLoop
 from tmde_edge.app.sdnotify import Notifier
+from tmde_edge.app.service_status import Reporter
 from tmde_edge.app.shedding import Shedder
+from tmde_edge.app.teller import Teller
 from tmde_edge.app.wiring import build_estimation
 from tmde_edge.config import load
 from tmde_edge.errors import ConfigError
@@ -469,6 +471,16 @@ def test_that_no_frames_come_any_more_is_published(recording: Path) -> None:
     estimation = build_estimation(load(None, ["can.enabled=false"]), recording)
     stopped_after(LiveLoop(Gone(str(recording), fps=RATE_HZ), see, estimation, outlets=[outlet]), 1.2)
     assert outlet.blind >= 4
+
+
+def test_a_camera_that_never_came_is_a_fault_after_a_while() -> None:
+    now_ns = [0]
+    loop = LiveLoop(DisabledCamera(), see, Echo(), monotonic_ns=lambda: now_ns[0])
+    reporter = Reporter(load(None, []), loop, Teller(), board=BoardState, monotonic_ns=lambda: now_ns[0])
+    assert reporter.status()["state"] == "init"
+    now_ns[0] = 6_000_000_000
+    told = reporter.status()
+    assert (told["state"], told["faults"]) == ("fault", ["camera_lost", "blind"])
 
 
 def test_status_in_words(recording: Path) -> None:

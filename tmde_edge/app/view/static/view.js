@@ -28,7 +28,7 @@ function show(state) {
   at("faults").className = faults.size ? "some" : "";
   put("status", service.status || "");
   blind = faults.has("blind") || [...faults].some((f) => f.startsWith("camera_"));
-  if (!record) return;
+  if (!record) { if (blind) put("alert", "no picture"); return; }
   const lead = record.lead, level = record.alert.level;
   put("distance", lead && lead.distance_m !== null ? lead.distance_m.toFixed(1) + " m" : "–");
   put("sigma", lead ? (lead.sigma_m !== null ? "± " + lead.sigma_m.toFixed(2) + " m, by " + lead.source : "not calibrated") : "no vehicle ahead");
