@@ -35,7 +35,7 @@ from tmde_edge.app.wiring import build_camera, build_estimation, build_eyes, che
 from tmde_edge.config import Config
 from tmde_edge.errors import DeviceError
 from tmde_edge.estimation import Estimation
-from tmde_edge.messages import CanFrame, DepthReading, Frame, FrameResult, Sighting
+from tmde_edge.messages import DepthReading, Frame, FrameResult, Sighting
 from tmde_edge.plates.standard import select
 from tmde_edge.ranging.budget import one_line
 
@@ -43,27 +43,6 @@ if TYPE_CHECKING:  # the page's library is loaded only where the page is on
     from tmde_edge.app.view.keeper import PageKeeper
 
 _log = logging.getLogger(__name__)
-
-
-class _Silent:
-    """A bus that is listened to only: what would be sent is counted, not sent."""
-
-    def __init__(self, port: BusPort) -> None:
-        self.port = self._port = port
-        self.withheld = 0
-
-    @property
-    def faults(self) -> tuple[str, ...]:
-        return self._port.faults
-
-    def start(self) -> None:
-        self._port.start()
-
-    def send(self, frame: CanFrame) -> None:
-        self.withheld += 1
-
-    def close(self) -> None:
-        self._port.close()
 
 
 def serve(
@@ -178,8 +157,7 @@ def _bus(config: Config, base_dir: Path, loop: LiveLoop) -> BusPort:
     if not config.can.enabled:
         return DisabledCanPort()
     decoder = load_vehicle_decoder(config.can, base_dir)
-    port = CanPort(config.can, loop.on_can, decoder.filters, loop.crash)
-    return port if config.can.transmit else _Silent(port)
+    return CanPort(config.can, loop.on_can, decoder.filters, loop.crash)
 
 
 class Notes:

@@ -101,11 +101,10 @@ class Reporter:
         settings, bus = self._config.can, self.bus
         if not settings.enabled or bus is None:
             return None
-        port = getattr(bus, "port", bus)  # a silenced port is wrapped
         return {
             "name": f"{settings.interface} {settings.channel}", "transmit": settings.transmit,
-            "connected": getattr(port, "connected", None), "faults": list(bus.faults),
-            **port.counters.as_dict(), "withheld": getattr(bus, "withheld", 0),
+            "connected": getattr(bus, "connected", None), "faults": list(bus.faults),
+            **bus.counters.as_dict(), "withheld": bus.counters.silent,
         }  # fmt: skip
 
     def _record(self) -> Json | None:

@@ -13,8 +13,16 @@ from pathlib import Path
 
 import pytest
 
+from tmde_edge.adapters.cameras.disabled import DisabledCamera
+from tmde_edge.adapters.can_ports.bus import CanPort
+from tmde_edge.app.board import BoardState
+from tmde_edge.app.live import LiveLoop
+from tmde_edge.app.service_status import Reporter
 from tmde_edge.app.status import StatusServer, ask, lines_of, socket_path
+from tmde_edge.app.teller import Teller
+from tmde_edge.config import load
 from tmde_edge.errors import InputDataError, InputMissingError
+from tmde_edge.messages import CanFrame
 
 STATUS = {"state": "degraded", "faults": ["blind"], "uptime_s": 3700.0, "version": "0.1.0"}
 
@@ -33,6 +41,17 @@ def test_a_question_gets_its_answer(server: Path) -> None:
     assert ask(server, {"request": "status"}) == STATUS
     assert ask(server, {"request": "other"}) == {"got": {"request": "other"}}
     assert stat.S_IMODE(server.stat().st_mode) == 0o660
+
+
+def test_what_a_silent_bus_held_back_is_told() -> None:
+    config = load(None, ["can.transmit=false"])
+    loop = LiveLoop(DisabledCamera(), None, None)  # type: ignore[arg-type]
+    reporter = Reporter(config, loop, Teller(), board=BoardState)
+    reporter.bus = CanPort(config.can, lambda frame: None)
+    for _ in range(3):
+        reporter.bus.send(CanFrame(t_ns=0, can_id=0x6D0, data=b"\x01"))
+    can = reporter.answer({"request": "status"})["can"]
+    assert (can["transmit"], can["sent"], can["withheld"]) == (False, 0, 3)
 
 
 @pytest.mark.parametrize("line", [b"nonsense\n", b"[1, 2]\n", b"\xff\xfe\n", b"x" * 10_000 + b"\n"])

@@ -29,7 +29,6 @@ from tmde_edge.app.view.server import ViewServer
 from tmde_edge.app.wiring import build_camera, build_depth, build_estimation, build_eyes, threads
 from tmde_edge.config import Config
 from tmde_edge.errors import InputMissingError
-from tmde_edge.messages import CanFrame
 
 RETRY_S = 1.0
 
@@ -51,22 +50,6 @@ def kept_page(config: Config) -> PageKeeper:
     """The service's page: what cannot listen now is tried again."""
     hub = build_hub(config)
     return PageKeeper(hub, lambda: build_page(config, config.camera.device, hub)[1])
-
-
-class Silent:
-    """A bus that is only listened to."""
-
-    def __init__(self, port: BusPort) -> None:
-        self._port = port
-        self.start, self.close = port.start, port.close
-
-    @property
-    def faults(self) -> tuple[str, ...]:
-        """What is wrong with it."""
-        return self._port.faults
-
-    def send(self, frame: CanFrame) -> None:
-        """Nothing goes out."""
 
 
 def view_recording(
@@ -118,7 +101,7 @@ def view_camera(config: Config, base_dir: Path, say: Callable[[str], None]) -> i
         signal.signal(name, lambda *_: loop.stop())
     bus: BusPort = DisabledCanPort()
     if can.enabled:
-        bus = Silent(CanPort(can, loop.on_can, load_vehicle_decoder(can, base_dir).filters, loop.crash))
+        bus = CanPort(can, loop.on_can, load_vehicle_decoder(can, base_dir).filters, loop.crash)
     with _served(hub, server, say):
         loop.run(bus)
     return 0
