@@ -196,6 +196,8 @@ class Estimation:
             ego = self._p.ego.state(t_ns)
             if ego is None and self._ego is not None:
                 self._tracker.set_ego(None)
+                self._travelled_ns.clear()  # what was covered meanwhile is not known: the runs end here
+                self._travel.forget(set())
             self._ego = ego
 
     def _measure(self, plate: PlateSighting, camera: Camera | None, s: Sighting) -> tuple[RangeMeasurement | None, str | None]:
@@ -272,7 +274,6 @@ class Estimation:
         """Ranges against the own travel: what stands tells whether the calibration fits."""
         ego = self._ego
         if ego is None:
-            self._travelled_ns.clear()
             return
         since_ns = self._travelled_ns.get(found.track_id, found.t_ns)
         self._travelled_ns[found.track_id] = found.t_ns

@@ -235,6 +235,24 @@ def test_a_gap_on_can_is_no_reason_to_warn_of_a_parked_car(lost_s: tuple[float, 
     assert levels(0.0, lost_s).index("warning") == gapless.index("warning")
 
 
+def test_way_that_nobody_counted_is_no_wrong_calibration() -> None:
+    """Braking towards three standing cars until we stand, while the bus falls silent for half a second each time."""
+    e, k, without = make(*CALIBRATED, *VEHICLE), 0, 0
+    for car in range(3):
+        first, d, v = k, 50.0, 12.0
+        while k - first < 200:
+            t_s = (k - first) / 30
+            for n in (2, 1, 0) if not 2.5 <= t_s < 3.0 else ():
+                e.step(speed_frame(k / 30 - n / 100, v))
+            r = result_of(e.step(sighting(k, plate(d, noise_px=0.05, seed=k, track_id=car + 1))))
+            without += r.ego is None
+            assert "calibration" not in r.faults
+            before, v = v, max(v - (3.5 / 30 if t_s > 2.0 else 0.0), 0.0)
+            d, k = d - (before + v) / 60, k + 1
+        k += 100
+    assert without > 3 * 10
+
+
 def test_own_braking_is_not_the_lead_fleeing() -> None:
     """With CAN the braking counts at once; the lead at constant 10 m/s keeps its speed in the estimate."""
     e = make(*CALIBRATED, *VEHICLE)
