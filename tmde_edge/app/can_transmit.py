@@ -17,6 +17,7 @@ from typing import Any
 import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
+from tmde_edge.adapters.can_ports.serial_hold import hold_serial
 from tmde_edge.canbus.j1939 import PGN_ACC1, PGN_AEBS1, PRIORITY, j1939_id
 from tmde_edge.canbus.settings import CanSettings
 from tmde_edge.config import load
@@ -77,7 +78,9 @@ def listen(
     elif settings.interface == "udp_multicast":
         options |= {"hop_limit": 0}
     heard = Heard(seconds)
+    held: int | None = None
     try:
+        held = hold_serial(settings.channel) if settings.interface == "slcan" else None
         with can.Bus(**options) as bus:
             start_s = time.monotonic()
             told_s = start_s
@@ -97,6 +100,9 @@ def listen(
         if settings.interface == "slcan":
             advice = "a serial adapter serves one program: stop the service first (systemctl stop tmde-edge)"
         raise DeviceError(f"{where}: cannot be listened to ({e}); {advice}") from None
+    finally:
+        if held is not None:
+            os.close(held)
     return heard
 
 

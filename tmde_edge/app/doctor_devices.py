@@ -23,6 +23,7 @@ from tmde_edge.messages import CanFrame
 if TYPE_CHECKING:
     from tmde_edge.app.doctor import Check, Surroundings
 
+_NOT_OPEN = "check adapter and permissions; does another program hold it?"
 GRAB_S, LISTEN_S = 2.5, 2.0
 SLOW = 0.9  # of the wanted rate
 LATE_S = 0.15  # shutter to user space
@@ -170,7 +171,7 @@ def check_can(config: Config, s: Surroundings, base_dir: Path) -> Iterator[Check
     connected = listen.connected
     listen.close()
     if not connected and not heard:
-        yield Check("CAN traffic", "fail", f"{config.can.channel} cannot be opened", "check the adapter and its permissions")
+        yield Check("CAN traffic", "fail", f"{config.can.channel} cannot be opened", _NOT_OPEN)
         return
     yield from judge_traffic(heard, EgoReceiver(decoder, config.can), [f[0] for f in decoder.filters], LISTEN_S)
 
@@ -185,7 +186,7 @@ def _can_of_service(config: Config, status: dict[str, Any]) -> Check:
         return Check("CAN traffic", "warn", text, "systemctl restart tmde-edge, where the configuration is newer than it")
     text = f"{can['name']} (held by the service): {can['received']} frames received, {can['sent']} sent"
     if can["connected"] is False:
-        return Check("CAN traffic", "fail", f"{text}; it cannot be opened", "check the adapter and its permissions")
+        return Check("CAN traffic", "fail", f"{text}; it cannot be opened", _NOT_OPEN)
     if can["faults"]:
         return Check("CAN traffic", "fail", f"{text}; {', '.join(can['faults'])}", "see the journal: journalctl -u tmde-edge")
     if not can["received"]:

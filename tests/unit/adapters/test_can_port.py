@@ -25,8 +25,10 @@ from tmde_edge.adapters.can_ports.bus import CanPort, monotonic_from_wall
 from tmde_edge.adapters.can_ports.disabled import DisabledCanPort
 from tmde_edge.adapters.can_ports.nmea import NmeaPort
 from tmde_edge.adapters.can_ports.retry import BackOff
+from tmde_edge.app.can_transmit import listen
 from tmde_edge.canbus.gps import speed_from_frame
 from tmde_edge.canbus.settings import CanSettings
+from tmde_edge.errors import DeviceError
 from tmde_edge.messages import CanFrame
 
 HERE = Path(__file__).parent
@@ -352,6 +354,28 @@ def test_pauses_grow_to_a_limit() -> None:
     assert [back_off.pause_s() for _ in range(4)] == [0.25, 0.5, 1.0, 1.0]
     back_off.reset()
     assert back_off.pause_s() == 0.25
+
+
+def test_a_serial_adapter_serves_one_program(caplog: pytest.LogCaptureFixture) -> None:
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    settings = CanSettings(interface="slcan", channel=os.ttyname(slave))
+    first = CanPort(settings, lambda frame: None, open_pause_s=0.05)
+    second = CanPort(settings, lambda frame: None, open_pause_s=0.05)
+    first.start()
+    wait_for(lambda: first.connected)
+    while select.select([master], [], [], 0.1)[0]:  # what opening says to the adapter
+        os.read(master, 4096)
+    second.start()
+    wait_for(lambda: "another program holds it" in caplog.text)
+    with pytest.raises(DeviceError, match="stop the service first"):
+        listen(settings, 0.1)
+    assert select.select([master], [], [], 0.05)[0] == []  # "C" would have closed the first one's channel
+    first.close()
+    wait_for(lambda: second.connected)
+    second.close()
+    os.close(master)
+    os.close(slave)
 
 
 def test_gps_over_a_serial_port(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import threading
 import time
 from collections import deque
@@ -11,6 +12,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from tmde_edge.adapters.can_ports.retry import BackOff, LastingFault
+from tmde_edge.adapters.can_ports.serial_hold import hold_serial
 from tmde_edge.canbus.settings import CanSettings
 from tmde_edge.messages import CanFrame
 
@@ -74,6 +76,7 @@ class CanPort:
         self._open_pause_s = open_pause_s
         self.counters = CanCounters()
         self._bus: Any = None
+        self._held: int | None = None
         self._queue: deque[CanFrame] = deque()
         self._wake = threading.Condition()
         self._stop = threading.Event()
@@ -145,8 +148,10 @@ class CanPort:
         back_off = BackOff()
         while not self._stop.is_set():
             try:
+                self._hold()
                 bus = self._open()
             except (can.CanError, OSError, ValueError, RuntimeError) as e:  # RuntimeError: msgpack missing, of udp_multicast
+                self._release()
                 self._bus_fault.set(f"cannot be opened ({e}); trying again")
                 self._stop.wait(back_off.pause_s())
                 continue
@@ -159,6 +164,7 @@ class CanPort:
             finally:
                 self._bus = None
                 self._shut(bus)
+                self._release()
             self._stop.wait(0.0 if self._stop.is_set() else back_off.pause_s())
 
     def _receive_from(self, bus: Any, back_off: BackOff) -> None:
@@ -243,6 +249,15 @@ class CanPort:
             else:
                 self.counters.sent += 1
                 self._send_fault.clear()
+
+    def _hold(self) -> None:
+        if self._s.interface == "slcan":
+            self._held = hold_serial(self._s.channel)
+
+    def _release(self) -> None:
+        held, self._held = self._held, None
+        if held is not None:
+            os.close(held)
 
     def _open(self) -> Any:
         import can
