@@ -48,11 +48,12 @@ class Eyes:
 
     def see(self, frame: Frame) -> Sighting:
         """The next frame of a drive, in order of time."""
+        prior = self._prior_px(frame.image.shape[1], frame.image.shape[0])
+        self._perception.far_point_px = prior
         sighting = self._perception.see(frame)
         if (self._lanes is None and self._horizon is None) or sighting.status == "blind":
             return sighting
         start_ns = self._clock_ns()
-        prior = self._prior_px(frame.image.shape[1], frame.image.shape[0])
         tilt = self._tilt.see(frame.image, frame.t_ns, prior)
         lanes: LaneSighting | None = None
         if self._lanes_due(frame.t_ns, sighting.searched):

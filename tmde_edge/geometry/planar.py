@@ -1,4 +1,4 @@
-"""Pose of a known flat rectangle from its corners: both solutions of the planar ambiguity, and robust refinement.
+"""Pose of a known flat rectangle from its corners: both solutions of the planar ambiguity.
 
 Collins and Bartoli, "Infinitesimal Plane-Based Pose Estimation", IJCV 2014 (cv2.SOLVEPNP_IPPE).
 """
@@ -15,7 +15,6 @@ from tmde_edge.geometry.pinhole import Camera, rotation_from_vector, turn_clockw
 
 Floats = NDArray[np.float64]
 
-HUBER_SIGMAS = 1.5
 _EYE, _NO_DISTORTION = np.eye(3), np.zeros(4)
 
 
@@ -31,12 +30,6 @@ class PlanarPose:
     def yaw_rad(self) -> float:
         """Heading of the plate's carrier against ours, positive to the right: the plate's right edge is nearer."""
         return float(-np.arctan2(self.rotation[2, 0], self.rotation[0, 0]))
-
-    def camera_points_mm(self, points_mm: ArrayLike) -> Floats:
-        """Points (n, 2) of the plate's plane in the camera frame (n, 3)."""
-        p = np.asarray(points_mm, dtype=np.float64).reshape(-1, 2)
-        out: Floats = p @ self.rotation[:, :2].T + self.translation_mm
-        return out
 
 
 def rectangle_mm(width_mm: float, height_mm: float) -> Floats:
@@ -91,49 +84,3 @@ def _facing(plane: Floats, xy: Floats) -> list[tuple[Floats, Floats]]:
     rotation = turn_clockwise(float(np.arctan2(across, along)))
     centre = np.append(xy.mean(axis=0), 1.0) / scale
     return [(rotation, centre - rotation @ np.append(plane.mean(axis=0), 0.0))]
-
-
-def refine_pose(pose: PlanarPose, points_mm: ArrayLike, points_px: ArrayLike, camera: Camera, *, sigma_px: float = 0.5,
-                steps: int = 8) -> PlanarPose:
-    """Robust (Huber) Gauss-Newton on the reprojection error of n points from a starting pose."""
-    plane = np.asarray(points_mm, dtype=np.float64).reshape(-1, 2)
-    rays = camera.rays(points_px)[:, :2]
-    scale = np.array([camera.fx_px, camera.fy_px]) / sigma_px
-    rotation, translation = pose.rotation.copy(), pose.translation_mm.copy()
-    error = np.zeros_like(rays)
-    for _ in range(steps):
-        arm = plane @ rotation[:, :2].T
-        error, jacobian = projection_jacobian(arm + translation, arm, rays)
-        error, jacobian = error * scale, jacobian * scale[None, :, None]
-        size = np.sqrt(np.sum(error**2, axis=1))
-        root = np.sqrt(np.where(size > HUBER_SIGMAS, HUBER_SIGMAS / np.maximum(size, 1e-12), 1.0))
-        a = (jacobian * root[:, None, None]).reshape(-1, 6)
-        b = (error * root[:, None]).reshape(-1)
-        normal = a.T @ a
-        normal[np.diag_indices(6)] *= 1 + 1e-9
-        step = np.linalg.lstsq(normal, -a.T @ b, rcond=None)[0]
-        rotation = rotation_from_vector(step[:3]) @ rotation
-        translation = translation + step[3:]
-        if float(np.abs(step[:3]).max()) < 1e-9 and float(np.abs(step[3:]).max()) < 1e-6 * abs(translation[2]):
-            break
-    rms = float(np.sqrt(np.mean((error * sigma_px) ** 2)))
-    return PlanarPose(rotation=rotation, translation_mm=translation, rms_px=rms)
-
-
-def projection_jacobian(points: Floats, arms: Floats, rays: Floats) -> tuple[Floats, Floats]:
-    """Error (n, 2) of normalised coordinates against `rays` (n, 2), and its derivative (n, 2, 6).
-
-    points (n, 3) in the camera frame; arms (n, 3) = the rotated lever from the plate's origin. Parameters: a small
-    rotation vector applied on the left of the rotation, then the translation.
-    """
-    inv_z = 1.0 / points[:, 2]
-    x, y = points[:, 0] * inv_z, points[:, 1] * inv_z
-    error = np.stack([x, y], axis=1) - rays
-    n = len(points)
-    d = np.zeros((n, 2, 3))
-    d[:, 0, 0] = d[:, 1, 1] = inv_z
-    d[:, 0, 2], d[:, 1, 2] = -x * inv_z, -y * inv_z
-    jacobian = np.empty((n, 2, 6))
-    jacobian[:, :, 3:] = d
-    jacobian[:, :, :3] = np.cross(arms[:, None, :], d)  # d . (w x arm) = w . (arm x d)
-    return error, jacobian

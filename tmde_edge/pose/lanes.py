@@ -101,7 +101,7 @@ def _borders(lines: Lines, point: FloatArray, bottom_row: float) -> tuple[float 
     sides: list[float | None] = []
     for sign in (-1.0, 1.0):
         here = steep & (sign * off > 0.4) & (sign * off < 2.5)
-        support = np.array([lines.length_px[here & (np.abs(off - o) < 0.12)].sum() for o in off])
+        support = (np.abs(off - off[:, None]) < 0.12) @ (lines.length_px * here)
         here &= support >= 20.0
         if here.any():
             nearest = float(np.abs(off[here]).min())

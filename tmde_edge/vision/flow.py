@@ -53,11 +53,10 @@ class Growth:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FlowStep:
-    """Where a template went: corners (4, 2) in source pixels with the sigma of a coordinate, and the growth of plate and rear."""
+    """Where a template went: corners (4, 2) in source pixels with the sigma of a coordinate, and the growth of the rear."""
 
     corners_px: Array
     sigma_px: float
-    plate: Growth | None
     rear: Growth | None
 
 
@@ -113,30 +112,26 @@ def follow(template: Template, image: Image, guess_px: Array, settings: FlowSett
         middle = np.append(template.corners_px.mean(axis=0), 1.0)
         apart = float(np.hypot(*(plate.matrix @ middle - rear.matrix @ middle)))
         if apart > PARTED_PX + PARTED * size_px(template.corners_px)[0]:
-            best, plate = rear, None
+            best = rear
     corners = template.corners_px @ best.matrix[:, :2].T + best.matrix[:, 2]
     half = hypot(*size_px(template.corners_px)) / 2
     shift_sigma = best.residual_px / sqrt(best.inliers)
     return FlowStep(
         corners_px=corners,
         sigma_px=hypot(shift_sigma, best.ratio_sigma * half),
-        plate=None if plate is None else Growth(ratio=plate.ratio, sigma=plate.ratio_sigma, points=plate.inliers),
         rear=None if rear is None else Growth(ratio=rear.ratio, sigma=rear.ratio_sigma, points=rear.inliers),
     )
 
 
-def grow(template: Template, image: Image, now_px: Array, settings: FlowSettings) -> tuple[Growth | None, Growth | None]:
-    """Growth of the plate and of the rear round it since the template, by all their pixels; None where these do not settle.
+def grow(template: Template, image: Image, now_px: Array, settings: FlowSettings) -> Growth | None:
+    """Growth of the vehicle's rear round the plate since the template, by all its pixels; None where these do not settle.
 
-    now_px: the plate's corners (4, 2) in the later image, right to a pixel or two.
+    The plate's own growth is in its ranges already. now_px: its corners (4, 2) in the later image, right to a pixel or two.
     """
     grey, _, start = _start(template, image, now_px)
-    then, now = layers(template.grey), layers(grey)
-    found: list[Growth | None] = []
-    for mask in _parts(template, settings):
-        fit = align(then, now, mask > 0, start)
-        found.append(None if fit is None else _dense_growth(fit, mask))
-    return found[0], found[1]
+    ring = _ring(template, settings)
+    fit = align(layers(template.grey), layers(grey), ring > 0, start)
+    return None if fit is None else _dense_growth(fit, ring)
 
 
 def follow_rear(template: Template, image: Image, guess_px: Array, settings: FlowSettings) -> FlowStep | None:
@@ -145,7 +140,7 @@ def follow_rear(template: Template, image: Image, guess_px: Array, settings: Flo
     guess_px: corners (4, 2) to start from, right to a few pixels.
     """
     grey, origin, start = _start(template, image, guess_px)
-    ring = _parts(template, settings)[1]
+    ring = _ring(template, settings)
     fit = align(layers(template.grey), layers(grey), ring > 0, start)
     if fit is None:
         return None
@@ -153,8 +148,7 @@ def follow_rear(template: Template, image: Image, guess_px: Array, settings: Flo
     corners = origin + template.reduce * (flat @ fit.matrix[:, :2].T + fit.matrix[:, 2])
     rear = _dense_growth(fit, ring)
     half = hypot(*size_px(template.corners_px)) / 2
-    return FlowStep(corners_px=corners, sigma_px=hypot(POINT_FLOOR_PX * template.reduce, rear.sigma * half), plate=None,
-                    rear=rear)  # fmt: skip
+    return FlowStep(corners_px=corners, sigma_px=hypot(POINT_FLOOR_PX * template.reduce, rear.sigma * half), rear=rear)
 
 
 def _start(template: Template, image: Image, now_px: Array) -> tuple[Image, Array, Array]:
@@ -169,9 +163,9 @@ def _start(template: Template, image: Image, now_px: Array) -> tuple[Image, Arra
     return grey, origin, np.column_stack([linear, shift])
 
 
-def _parts(template: Template, settings: FlowSettings) -> tuple[Image, Image]:
+def _ring(template: Template, settings: FlowSettings) -> Image:
     flat = (template.corners_px - template.origin_px) / template.reduce
-    return _masks(template.grey.shape, flat, settings.ring * size_px(flat)[1])
+    return _masks(template.grey.shape, flat, settings.ring * size_px(flat)[1])[1]
 
 
 def _dense_growth(fit: Alignment, mask: Image) -> Growth:

@@ -11,14 +11,14 @@ from typing import Literal
 import numpy as np
 
 from tmde_edge.messages import Frame, Mode, PlateSighting, Point, ScaleChange, Sighting, VehicleBox
-from tmde_edge.vision.flow import FlowStep, Growth, follow, follow_rear, grow, make_template
+from tmde_edge.vision.flow import FlowStep, follow, follow_rear, grow, make_template
 from tmde_edge.vision.judgement import credible, joint_score
-from tmde_edge.vision.likeness import view_of
+from tmde_edge.vision.likeness import is_washed_out, small_look, view_of
 from tmde_edge.vision.protocols import Image, PlateCandidate, PlateReader, PlateReading
 from tmde_edge.vision.rectify import Array, bounds, is_convex, size_px
 from tmde_edge.vision.search import PlateSearch, Region, fovea_region
 from tmde_edge.vision.settings import DetectorSettings, FlowSettings, SegmenterSettings
-from tmde_edge.vision.sighting import is_blind, is_washed_out, plate_sighting, washed, without_ink
+from tmde_edge.vision.sighting import is_blind, plate_sighting, washed, without_ink
 from tmde_edge.vision.still import STILL_MODE, StillLook
 from tmde_edge.vision.timing import Timing
 from tmde_edge.vision.track import Track, associate, without_doubles
@@ -26,6 +26,7 @@ from tmde_edge.vision.track import Track, associate, without_doubles
 EARLY_NS = 2_000_000  # a search may run this much before it is due: frame times jitter
 LONGEST_STEP_NS = 1_000_000_000  # after a gap longer than this between frames no track is carried over
 ASKED_AGAIN_HITS = 3  # more hits before what did not look like a plate from closer up is looked at again
+OUTLINE_NS = 200_000_000  # where frames come quickly a settled plate's outline, strokes and border are measured this often
 BETWEEN = 3.0  # work that can wait one frame is not done beside a full search where frames come this much quicker
 
 
@@ -121,12 +122,15 @@ class Perception:
         """Whether the plate's own features went on with the plate, and not with what sweeps across it."""
         if step is None or not is_convex(step.corners_px):
             return False
-        return not track.looks.contradicted(view_of(image, step.corners_px))
+        return not track.looks.contradicted(view_of(small_look(image, step.corners_px), step.corners_px))
+
+    def _soon(self, step_ns: int) -> bool:
+        """Whether frames come so quickly that what is not done in this one is done soon enough."""
+        return 0 < step_ns * 1e-9 * BETWEEN <= min(self._flow.base_s, 1 / self._detector.search_rate_hz) + EARLY_NS * 1e-9
 
     def _busy(self, t_ns: int, step_ns: int) -> bool:
         """Whether this frame has a full search to pay for, or follows one (lanes are looked for then), and others come soon."""
-        soon = 0 < step_ns * 1e-9 * BETWEEN <= min(self._flow.base_s, 1 / self._detector.search_rate_hz) + EARLY_NS * 1e-9
-        return soon and self._searched_ns is not None and t_ns - self._searched_ns < 1.5 * step_ns
+        return self._soon(step_ns) and self._searched_ns is not None and t_ns - self._searched_ns < 1.5 * step_ns
 
     def _look(self, image: Image, t_ns: int, settled: list[bool]) -> tuple[bool, list[PlateCandidate]]:
         """Region searches round every track that is not settled, and the full search or the fovea when due."""
@@ -166,12 +170,13 @@ class Perception:
     ) -> tuple[PlateSighting, ...]:
         """Reads every track where it was found (or where flow carried it) and every new candidate; updates the tracks."""
         tracks = list(self._tracks)
-        wanted, busy = [], self._busy(t_ns, step_ns)
+        wanted, soon, busy = [], self._soon(step_ns), self._busy(t_ns, step_ns)
         for i, t in enumerate(tracks):
             if i in matched:
                 t.found_ns, t.found_score = t_ns, matched[i].score
             if settled[i]:  # flow carries the place better than a search of the whole frame
-                wanted.append(PlateCandidate(corners_px=t.corners_px, score=t.found_score, hurried=busy))
+                hurried = busy or (soon and (t_ns - t.outlined_ns < OUTLINE_NS - EARLY_NS or self._growth_due(t, t_ns)))
+                wanted.append(PlateCandidate(corners_px=t.corners_px, score=t.found_score, hurried=hurried))
             else:
                 faded = t.faded_score(t_ns, self._detector.lost_s)
                 wanted.append(matched.get(i) or PlateCandidate(corners_px=t.corners_px, score=faded))
@@ -179,8 +184,8 @@ class Perception:
         plates: list[PlateSighting] = []
         for i, track in enumerate(tracks):
             reading = readings[i]
-            view = view_of(image, reading.corners_px) if is_convex(reading.corners_px) else None
-            track.washed = is_washed_out(image, reading.corners_px)
+            look = small_look(image, reading.corners_px)
+            view, track.washed = view_of(look, reading.corners_px), is_washed_out(look)
             if track.washed:  # what glare eats and gives back again looks like growth
                 track.anchor = None
             plate = credible(reading, self._segmenter.platehood_min) and not track.looks.contradicted(view)
@@ -190,6 +195,8 @@ class Perception:
                     reading, source = without_ink(reading, track.corners_px, track.sigma_px), "flow"
                 elif track.washed:
                     reading = washed(reading)
+                if not wanted[i].hurried:
+                    track.outlined_ns = t_ns
                 track.hit(wanted[i], reading, t_ns, step_ns)
                 self._confirm(track, image, wanted[i], reading)
                 if not track.washed:
@@ -206,7 +213,7 @@ class Perception:
                 plates += self._report(track, carried, wanted[i].score, "flow", image)
         for candidate, reading in zip(fresh, readings[len(tracks) :], strict=True):
             if credible(reading, self._segmenter.platehood_min) and is_convex(reading.corners_px):
-                pale = is_washed_out(image, reading.corners_px)
+                pale = is_washed_out(small_look(image, reading.corners_px))
                 reading = washed(reading) if pale else reading
                 track = Track(corners_px=reading.corners_px, score=joint_score(candidate, reading), seen_ns=t_ns, washed=pale)
                 track.sigma_px = reading.corners_sigma_px
@@ -244,17 +251,24 @@ class Perception:
         ]
 
     def _scale_changes(self, image: Image, t_ns: int, *, busy: bool) -> tuple[ScaleChange, ...]:
-        """Growth of confirmed tracks since their anchor, directly between the two images, once every base_s; not while busy."""
+        """Growth of confirmed vehicles since their anchor, directly between the two images, once every base_s; not while busy."""
         changes: list[ScaleChange] = []
         if not self._flow.enabled or busy:
             return ()
         for track in self._tracks:
-            if track.anchor is None or not track.id or t_ns - track.anchor_ns < self._flow.base_s * 1e9 - EARLY_NS:
+            if track.anchor is None or not track.id or not self._growth_due(track, t_ns):
                 continue
-            plate, rear = grow(track.anchor, image, track.corners_px, self._flow)
-            changes += _changes(track, plate, rear)
+            rear = grow(track.anchor, image, track.corners_px, self._flow)
+            if rear is not None:
+                since_ns = track.anchor_ns
+                changes.append(ScaleChange(
+                    track_id=track.id, t_from_ns=since_ns, ratio=rear.ratio, sigma=rear.sigma, source="vehicle",
+                ))
             track.anchor = None
         return tuple(changes)
+
+    def _growth_due(self, track: Track, t_ns: int) -> bool:
+        return t_ns - track.anchor_ns >= self._flow.base_s * 1e9 - EARLY_NS
 
     def _vehicles(self, shown: set[int], t_ns: int) -> tuple[VehicleBox, ...]:
         """The followed rears of confirmed tracks whose plate is not seen in this frame."""
@@ -299,12 +313,3 @@ def _within(corners_px: Array, region: Region) -> bool:
     """Whether a plate's middle lies in a region."""
     x, y = corners_px.mean(axis=0)
     return bool(region[0] <= x < region[2] and region[1] <= y < region[3])
-
-
-def _changes(track: Track, plate: Growth | None, rear: Growth | None) -> list[ScaleChange]:
-    parts: list[tuple[Growth | None, Literal["plate", "vehicle"]]] = [(plate, "plate"), (rear, "vehicle")]
-    return [
-        ScaleChange(track_id=track.id, t_from_ns=track.anchor_ns, ratio=g.ratio, sigma=g.sigma, source=source)
-        for g, source in parts
-        if g is not None
-    ]

@@ -12,12 +12,9 @@ import numpy as np
 
 from tmde_edge.messages import GlyphSighting, PlateSighting, Point
 from tmde_edge.vision.protocols import CharacterBox, Image, PlateReading
-from tmde_edge.vision.rectify import Array, rectify_grey, size_px
+from tmde_edge.vision.rectify import Array, size_px
 from tmde_edge.vision.settings import SegmenterSettings
 
-CLIPPED_GREY, PALE_GREY = 250, 220  # the sensor's white is reached; a character this pale has lost most of its contrast
-INK_SHARE = 15  # per cent of a plate that its characters cover at least
-WASHED_W_PX, WASHED_H_PX = 48, 14  # of the look at it
 WASHED_SIGMA = 0.2  # one sigma of a corner where white runs into white, in plate heights
 GROUP_GAP = 1.35  # a pitch longer than this many medians spans a gap between groups
 
@@ -84,19 +81,6 @@ def is_blind(image: Image, contrast_min: float) -> bool:
     grey = np.sort(coarse, axis=None)
     low, high = grey[len(grey) // 50], grey[len(grey) - 1 - len(grey) // 50]
     return bool(float(high) - float(low) < contrast_min)
-
-
-def is_washed_out(image: Image, corners_px: Array) -> bool:
-    """Whether a plate's paper is clipped and its ink nearly so: the white has eaten the edges, nothing is to be measured.
-
-    A clipped plate with dark ink is not: its edges are moved by a fraction of the blur.
-    """
-    try:
-        flat = rectify_grey(image, corners_px, WASHED_W_PX, WASHED_H_PX)[0]
-    except ValueError:
-        return False
-    grey = np.sort(flat, axis=None)
-    return bool(grey[grey.size // 2] >= CLIPPED_GREY and grey[grey.size * INK_SHARE // 100] >= PALE_GREY)
 
 
 def washed(reading: PlateReading) -> PlateReading:

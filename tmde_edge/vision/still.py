@@ -8,11 +8,12 @@ from dataclasses import replace
 from tmde_edge.messages import Mode, PlateSighting
 from tmde_edge.vision.detect.contour import box_iou
 from tmde_edge.vision.judgement import belief, joint_score
+from tmde_edge.vision.likeness import is_washed_out, small_look
 from tmde_edge.vision.protocols import Image, PlateCandidate, PlateReader, PlateReading
 from tmde_edge.vision.rectify import is_convex
 from tmde_edge.vision.search import PlateSearch
 from tmde_edge.vision.settings import DetectorSettings, SegmenterSettings
-from tmde_edge.vision.sighting import is_washed_out, plate_sighting, washed
+from tmde_edge.vision.sighting import plate_sighting, washed
 from tmde_edge.vision.timing import Timing
 
 SURE_SCORE, SURE_PLATEHOOD = 0.7, 0.98  # both together need no further look
@@ -61,7 +62,7 @@ class StillLook:
         for c, r, _ in sorted(kept, key=lambda f: -joint_score(*f[:2])):
             # two candidates may turn out to be one plate once their corners are read
             if all(box_iou(r.corners_px, p.corners_px) <= SAME_STILL_IOU for p, _ in plates):
-                plates.append((washed(r) if is_washed_out(image, r.corners_px) else r, joint_score(c, r)))
+                plates.append((washed(r) if is_washed_out(small_look(image, r.corners_px)) else r, joint_score(c, r)))
         return plates
 
     def _candidates(self, image: Image, done: Callable[[str], None]) -> Iterator[list[PlateCandidate]]:

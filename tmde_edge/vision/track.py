@@ -43,6 +43,7 @@ class Track:
     template: Template | None = None  # of the last frame
     anchor: Template | None = None  # where the present scale change starts
     anchor_ns: int = 0
+    outlined_ns: int = 0  # its outline was last looked for in the image
     rear_ns: int = 0  # the vehicle's rear was last followed
     washed: bool = False  # too bright to be measured in the last frame
     looks: Looks = field(default_factory=Looks)

@@ -3,7 +3,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tmde_edge.geometry.pinhole import Camera, turn_clockwise, turn_down, turn_right
-from tmde_edge.geometry.planar import planar_poses, projection_jacobian, rectangle_mm, refine_pose
+from tmde_edge.geometry.planar import planar_poses, rectangle_mm
 
 CAMERA = Camera(width_px=1280, height_px=720, fx_px=1000, fy_px=1000, cx_px=640, cy_px=360, distortion=(-0.2, 0.05, 0.0, 0.0))
 PLATE = rectangle_mm(520, 110)
@@ -20,10 +20,16 @@ def test_project_then_pose_is_the_identity(yaw: float, lean: float, roll: float,
     where = (bearing * distance, 0.1 * distance, distance)
     pixels = seen(yaw, lean, roll, where)
     start = planar_poses(PLATE, pixels, CAMERA)[0]
-    assert start.rms_px < 0.05  # OpenCV loses digits where the plate nearly faces the camera
-    best = refine_pose(start, PLATE, pixels, CAMERA)
-    assert best.rms_px < 1e-4
-    assert np.allclose(best.translation_mm, where, rtol=1e-3, atol=0.05)
+    # OpenCV divides by zero where the plate faces the line of sight exactly, and loses digits near it: a similarity stands in
+    assert start.rms_px < 0.4
+    assert np.allclose(start.translation_mm, where, rtol=4e-3, atol=2.0)
+
+
+def test_a_turned_plate_comes_back_exactly() -> None:
+    where = (300.0, 500.0, 5000.0)
+    start = planar_poses(PLATE, seen(0.3, -0.1, 0.05, where), CAMERA)[0]
+    assert start.rms_px < 1e-4
+    assert np.allclose(start.translation_mm, where, rtol=1e-5, atol=0.05)
 
 
 def test_both_solutions_come_with_their_errors_and_mirror_the_heading() -> None:
@@ -40,32 +46,6 @@ def test_heading_is_positive_when_the_right_edge_is_nearer() -> None:
     left, right = corners[3, 1] - corners[0, 1], corners[2, 1] - corners[1, 1]
     assert right > left
     assert planar_poses(PLATE, corners, CAMERA)[0].yaw_rad > 0
-
-
-def test_refinement_is_hardly_moved_by_one_wild_point() -> None:
-    grid = np.array([(x, y) for x in (-260, -130, 0, 130, 260) for y in (-55, 0, 55)], dtype=float)
-    rotation = turn_right(0.2) @ turn_down(0.1)
-    pixels = CAMERA.project((grid @ rotation[:, :2].T + (300, 100, 5000)) / 1000)
-    pixels[3] += (6.0, -8.0)
-    start = planar_poses(grid, pixels, CAMERA)[0]
-    refined = refine_pose(start, grid, pixels, CAMERA, sigma_px=0.2)
-    assert abs(refined.translation_mm[2] / 5000 - 1) < 0.004
-    assert abs(refined.translation_mm[2] - 5000) < 0.4 * abs(start.translation_mm[2] - 5000)
-
-
-def test_jacobian_is_the_derivative() -> None:
-    rng = np.random.default_rng(3)
-    arms, rays = rng.normal(0, 100, (5, 3)), rng.normal(0, 0.1, (5, 2))
-    where = np.array([100.0, -50.0, 4000.0])
-    error, jacobian = projection_jacobian(arms + where, arms, rays)
-    for i in range(3):
-        moved = where.copy()
-        moved[i] += 1e-3
-        numeric = (projection_jacobian(arms + moved, arms, rays)[0] - error) / 1e-3
-        assert np.allclose(numeric, jacobian[:, :, 3 + i], rtol=1e-5, atol=1e-10)
-        turned = arms + 1e-6 * np.cross(np.eye(3)[i], arms)
-        numeric = (projection_jacobian(turned + where, arms, rays)[0] - error) / 1e-6
-        assert np.allclose(numeric, jacobian[:, :, i], rtol=1e-4, atol=1e-8)
 
 
 def test_degenerate_points_give_no_pose() -> None:

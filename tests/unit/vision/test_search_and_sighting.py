@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scenes import plate_still
 
 from tmde_edge.vision.protocols import CharacterBox, PlateCandidate, PlateReading
 from tmde_edge.vision.search import TILE_PX, NetworkSearch, PlainSearch, fovea_region, tiles
 from tmde_edge.vision.settings import DetectorSettings, SegmenterSettings
-from tmde_edge.vision.sighting import is_blind, is_washed_out, plate_sighting, spacing, trimmed_mean
+from tmde_edge.vision.sighting import is_blind, plate_sighting, spacing, trimmed_mean
 
 
 class Looks:
@@ -127,13 +126,3 @@ def test_a_dark_street_with_lamps_is_not_blind():
     night[380:400, 600:640] = 255
     assert not is_blind(night, 12.0)
     assert is_blind(np.full((720, 1280, 3), 4, np.uint8), 12.0)
-
-
-def test_glare_that_eats_the_ink_is_washed_out_a_clipped_plate_with_dark_ink_is_not():
-    small, large = plate_still("de-mittel", 40, seed=2), plate_still("de-mittel", 200, seed=2)
-    in_glare = np.clip(small.image.astype(float) * 2.4, 0, 255).astype(np.uint8)  # its blurred strokes are nearly white
-    in_lamps = np.clip((large.image.astype(float) - 20) * 2.4, 0, 255).astype(np.uint8)
-    assert not is_washed_out(small.image, small.corners_px)
-    assert is_washed_out(in_glare, small.corners_px)
-    assert not is_washed_out(in_lamps, large.corners_px)
-    assert not is_washed_out(in_glare, small.corners_px * np.nan)
