@@ -48,13 +48,16 @@ class Eyes:
 
     def see(self, frame: Frame) -> Sighting:
         """The next frame of a drive, in order of time."""
+        start_ns = self._clock_ns()
         prior = self._prior_px(frame.image.shape[1], frame.image.shape[0])
+        tilt = self._tilt.see(frame.image, frame.t_ns, prior)
+        tilt_ns = self._clock_ns() - start_ns
         self._perception.far_point_px = prior
+        self._perception.shaken_px = 0.0 if tilt is None else tilt.down_px
         sighting = self._perception.see(frame)
         if (self._lanes is None and self._horizon is None) or sighting.status == "blind":
             return sighting
-        start_ns = self._clock_ns()
-        tilt = self._tilt.see(frame.image, frame.t_ns, prior)
+        start_ns = self._clock_ns() - tilt_ns
         lanes: LaneSighting | None = None
         if self._lanes_due(frame.t_ns, sighting.searched):
             self._looked_ns = frame.t_ns

@@ -52,6 +52,9 @@ class Prop:
     text: str = ""
 
 
+SPRINGS_S = 0.4  # how long the body's springs take to follow braking
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scenario:
     """One drive. The camera travels with `ego`; times in seconds from the first frame."""
@@ -89,7 +92,10 @@ class Scenario:
 
     def pitch_rad(self, t_s: float) -> float:
         """Change of the camera's pitch against its rest: oscillation, and the dive of braking."""
-        accel = float(np.mean([self.ego.state(t_s - d)[2] for d in (0.05, 0.15, 0.25, 0.35)]))
+        # the springs follow the mean of the last moments, and not the noise of a recorded speed
+        ago = [d * SPRINGS_S / 8 for d in range(5)]
+        gained = [self.ego.state(t_s - d)[1] - self.ego.state(t_s - d - SPRINGS_S / 2)[1] for d in ago]
+        accel = float(np.mean(gained)) / (SPRINGS_S / 2)
         wave = self.pitch_amplitude_rad * np.sin(2 * np.pi * self.pitch_hz * t_s)
         return float(wave - self.dive_rad_per_mps2 * accel)
 

@@ -21,6 +21,7 @@ DEPTH_CARRIES_AFTER_S = 0.15  # without any other measurement for longer than th
 DEPTH_CARRIES_NS = 600_000_000  # and it does so for this long ...
 DEPTH_ADDS_S = 1.5  # ... but never more than this beyond coasting
 SEEN_AGAIN = 5  # measurements after which alerts rest on the filter with depth again
+HARDEST_MPS2 = 12.0  # two cars brake or part harder than this in a crash only
 GUESS_LASTS_S = 2.0  # an outline that is only carried along keeps its error about this long
 REAR_DEPTH_M = 0.15  # how far, one sigma, the vehicle's rear lies in front of or behind the plate's plane
 CARRIES_S = 0.45  # a growth this old still stands: they come every 0.2 s
@@ -231,7 +232,10 @@ class LeadTracker:
         # What is not in the plate's plane grows by another factor: by the share of its depth in the distance.
         depth = abs(math.log(change.ratio)) * REAR_DEPTH_M / max(track.filter.distance_m, 1.0)
         sigma = math.hypot(change.sigma, change.ratio * depth)
-        innovation, *_ = [_grow(f, change, sigma, t_ns) for f in track.filters]
+        # Ranges may have made a speed up. Without any since, the speed changes as braking allows, or this is another thing.
+        since_s = (t_ns - max(track.plate_ns, track.grown_ns or 0)) * 1e-9
+        most_mps = math.inf if track.plate_ns >= change.t_from_ns else HARDEST_MPS2 * since_s
+        innovation, *_ = [_grow(f, change, sigma, t_ns, most_mps) for f in track.filters]
         if innovation.accepted:
             track.grown_ns = t_ns
             if carried:
@@ -317,17 +321,18 @@ class LeadTracker:
         return nearest
 
 
-def _grow(state: RangeFilter, change: ScaleChange, sigma: float, t_ns: int) -> Innovation:
+def _grow(state: RangeFilter, change: ScaleChange, sigma: float, t_ns: int, most_mps: float = math.inf) -> Innovation:
     """Takes a growth of the image; one that contradicts the speed of a new track, or twice in a row, restarts that speed.
 
-    Growth is much surer of the speed than differences between a far plate's ranges.
+    most_mps: the largest such change. Growth is much surer of the speed than differences between a far plate's ranges.
     """
     innovation = state.update_growth(change.ratio, sigma, change.t_from_ns)
     dt_s = (t_ns - change.t_from_ns) * 1e-9
     rate, rate_sigma = -math.log(change.ratio) / dt_s, sigma / change.ratio / dt_s
     if innovation is None:  # begun before this track was measured: the mean closing since then is all it says
         innovation = state.update_inverse_ttc(rate, rate_sigma)
-    if not innovation.accepted and state.closing_doubted:
+    jump_mps = abs(rate * state.distance_m - state.range_rate_mps) - 2.0 * rate_sigma * state.distance_m
+    if not innovation.accepted and state.closing_doubted and jump_mps <= most_mps:
         state.restart_closing(rate, rate_sigma)
     state.closing_doubted = not innovation.accepted
     state.set_anchor(t_ns)

@@ -46,6 +46,7 @@ class Perception:
         self._still = StillLook(search, reader, detector, segmenter)
         self.thinning = 1.0  # full and fovea searches are this much rarer: the live loop sheds load by it
         self.far_point_px: Point | None = None  # the driving path's far end, where known: the fovea looks there
+        self.shaken_px = 0.0  # how far the camera's own pitching moved the picture down since the last frame, where known
         self._reset()
 
     def _reset(self) -> None:
@@ -99,8 +100,8 @@ class Perception:
         return self._sighting(frame, "ok" if plates else "no_plate", plates, changes, searched, mode, timing, vehicles)
 
     def _predict(self, track: Track, image: Image, t_ns: int, step_ns: int) -> FlowStep | None:
-        """Moves a track to this frame: by its velocity, then by flow where that succeeds."""
-        guess = track.corners_px + track.velocity_px * step_ns
+        """Moves a track to this frame: by its velocity and the camera's pitching, then by flow where that succeeds."""
+        guess = track.corners_px + track.velocity_px * step_ns + (0.0, self.shaken_px)
         if not is_convex(guess):
             guess = track.corners_px
         step = None
@@ -197,7 +198,7 @@ class Perception:
                     reading = washed(reading)
                 if not wanted[i].hurried:
                     track.outlined_ns = t_ns
-                track.hit(wanted[i], reading, t_ns, step_ns)
+                track.hit(wanted[i], reading, t_ns, step_ns, self.shaken_px)
                 self._confirm(track, image, wanted[i], reading)
                 if not track.washed:
                     track.looks.learn(view)
@@ -209,7 +210,7 @@ class Perception:
             if steps[i] is not None and track.bridges and track.inside(image.shape[1], image.shape[0]):
                 seen = plate and reading.refined and track.near(reading)
                 carried = reading if seen else without_ink(reading, track.corners_px, track.sigma_px)
-                track.carry(carried, step_ns)
+                track.carry(carried, step_ns, self.shaken_px)
                 plates += self._report(track, carried, wanted[i].score, "flow", image)
         for candidate, reading in zip(fresh, readings[len(tracks) :], strict=True):
             if credible(reading, self._segmenter.platehood_min) and is_convex(reading.corners_px):
@@ -284,7 +285,8 @@ class Perception:
     def _retire(self, image: Image, t_ns: int) -> None:
         """Ends tracks that are doubled or outside; renews the templates of the others."""
         w, h = image.shape[1], image.shape[0]
-        self._tracks = without_doubles([t for t in self._tracks if t.inside(w, h) and min(size_px(t.corners_px)) >= 2])
+        inside = [t for t in self._tracks if t.inside(w, h) and min(size_px(t.corners_px)) >= 2]
+        self._tracks = without_doubles(inside, self._flow.ring)
         if not self._flow.enabled:
             return
         for track in self._tracks:

@@ -11,7 +11,7 @@ from tmde_edge.vision.flow import FlowStep, Template
 from tmde_edge.vision.judgement import joint_score
 from tmde_edge.vision.likeness import Looks
 from tmde_edge.vision.protocols import PlateCandidate, PlateReading
-from tmde_edge.vision.rectify import Array, is_convex, size_px
+from tmde_edge.vision.rectify import Array, bounds, is_convex, size_px
 from tmde_edge.vision.settings import DetectorSettings, FlowSettings
 
 VELOCITY_SHARE = 0.6  # of a new step in the smoothed image velocity
@@ -20,6 +20,7 @@ MISSES = 2  # frames in a row without a sighting that end a track before it was 
 REAR_LOST_NS = 250_000_000  # a vehicle whose rear flow has not followed for this long is lost
 SETTLED_NS = 250_000_000  # the finder itself looks at a settled track again after this long
 SETTLED_SIGMA = 0.15  # of a plate's height: a prediction this good needs no search, the reader's crop holds the plate
+GHOST_MISSES = 3  # frames without a sighting, before another plate on its vehicle ends a track
 SAME_PLATE_IOU = 0.15  # overlap with the predicted box that makes a candidate the same plate
 
 
@@ -38,7 +39,7 @@ class Track:
     needed: int = 2  # hits before it is reported
     sure: bool = False  # was once beyond doubt
     id: int = 0  # 0 until confirmed
-    velocity_px: Array = field(default_factory=lambda: np.zeros((4, 2)))  # corners' motion a nanosecond
+    velocity_px: Array = field(default_factory=lambda: np.zeros((4, 2)))  # corners' motion a nanosecond, without the camera's
     sigma_px: float = 1.0
     template: Template | None = None  # of the last frame
     anchor: Template | None = None  # where the present scale change starts
@@ -91,20 +92,20 @@ class Track:
         off = float(np.abs(reading.corners_px - self.corners_px).max())
         return off <= 3 * self.sigma_px + 0.04 * size_px(self.corners_px)[0]
 
-    def hit(self, candidate: PlateCandidate, reading: PlateReading, t_ns: int, step_ns: int) -> None:
+    def hit(self, candidate: PlateCandidate, reading: PlateReading, t_ns: int, step_ns: int, shaken_px: float) -> None:
         """Takes a sighting by the detector."""
-        self.carry(reading, step_ns)
+        self.carry(reading, step_ns, shaken_px)
         self.score, self.seen_ns = joint_score(candidate, reading), t_ns
         self.hits, self.misses = self.hits + 1, 0
         self.judged = reading.platehood is not None
         self.sigma_px = reading.corners_sigma_px
 
-    def carry(self, reading: PlateReading, step_ns: int) -> None:
-        """Moves to where the plate was read."""
+    def carry(self, reading: PlateReading, step_ns: int, shaken_px: float) -> None:
+        """Moves to where the plate was read; shaken_px: how far down the camera's own pitching moved the picture."""
         if not is_convex(reading.corners_px):
             return
         if step_ns > 0 and self.template is not None:
-            moved = (reading.corners_px - self.template.corners_px).mean(axis=0) / step_ns
+            moved = ((reading.corners_px - self.template.corners_px).mean(axis=0) - (0.0, shaken_px)) / step_ns
             self.velocity_px = (1 - VELOCITY_SHARE) * self.velocity_px + VELOCITY_SHARE * moved
         self.corners_px = reading.corners_px
 
@@ -134,10 +135,24 @@ def associate(
     return matched, fresh
 
 
-def without_doubles(tracks: list[Track]) -> list[Track]:
-    """Of tracks on one place the one with the older id, or the surer one, stays."""
+def without_doubles(tracks: list[Track], ring: float) -> list[Track]:
+    """Of tracks on one place the one with the older id, or the surer one, stays; what hides where a plate is seen is a ghost.
+
+    ring: width of a vehicle's rear round its plate, in plate heights. A vehicle has one plate.
+    """
+    seen = [t for t in tracks if t.id and t.misses == 0]
     kept: list[Track] = []
     for track in sorted(tracks, key=lambda t: (t.id == 0, t.id, -t.score)):
-        if all(box_iou(track.corners_px, k.corners_px) <= 0.4 for k in kept):
+        ghost = track.misses >= GHOST_MISSES and any(_same_rear(track, s, ring) for s in seen)
+        if not ghost and all(box_iou(track.corners_px, k.corners_px) <= 0.4 for k in kept):
             kept.append(track)
     return kept
+
+
+def _same_rear(track: Track, seen: Track, ring: float) -> bool:
+    """Whether a track's middle lies on the rear of another one's vehicle, both plates about as large."""
+    x0, y0, x1, y1 = bounds(seen.corners_px)
+    reach = ring * size_px(seen.corners_px)[1]
+    x, y = track.corners_px.mean(axis=0)
+    share = size_px(track.corners_px)[1] / size_px(seen.corners_px)[1]
+    return bool(x0 - reach <= x <= x1 + reach and y0 - reach <= y <= y1 + reach and 0.5 < share < 2.0)

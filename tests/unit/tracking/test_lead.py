@@ -244,6 +244,22 @@ def test_the_vehicle_carries_a_hidden_plates_distance() -> None:
     assert tracker.carries(1, track.measured_ns)
 
 
+@pytest.mark.parametrize(("closing_mps", "believed"), [(25.0, False), (4.0, True)])
+def test_a_hidden_vehicle_may_brake_hard_but_its_speed_does_not_jump(closing_mps: float, believed: bool) -> None:
+    """What the rear's pixels settle on when the vehicle is lost grows at any speed: no warning may come of it."""
+    tracker, true_m = _hidden_plate(TrackerSettings())
+    (track,) = tracker.tracks.values()
+    then_m, then_ns = true_m, round(3e9)
+    for k in range(1, 4):
+        now_m, t_ns = max(true_m - closing_mps * 0.2 * k, 1.0), round((3.0 + 0.2 * k) * 1e9)
+        tracker.predict(t_ns)
+        change = ScaleChange(track_id=1, t_from_ns=then_ns, ratio=then_m / now_m, sigma=1e-3, source="vehicle")
+        tracker.grow(change, t_ns)
+        then_m, then_ns = now_m, t_ns
+    assert (track.filter.range_rate_mps == pytest.approx(-closing_mps, abs=0.5)) == believed
+    assert believed or track.filter.range_rate_mps == pytest.approx(-2.0, abs=0.5)
+
+
 def test_without_vehicle_scale_a_hidden_plate_coasts() -> None:
     tracker, _ = _hidden_plate(TrackerSettings(vehicle_scale=False))
     (track,) = tracker.tracks.values()

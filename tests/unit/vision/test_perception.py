@@ -167,6 +167,31 @@ def test_a_flash_that_is_seen_once_is_never_reported():
     assert seen == []
 
 
+def test_a_picture_thrown_up_and_down_by_bumps_keeps_its_identities():
+    """The camera's own pitching is told by others (pose/tilt.py); the plate jumps by twice its height from frame to frame."""
+    search = ScriptedSearch()
+    p = _perception(search, search_rate_hz=1000)
+    ids, down = set(), 0.0
+    for i in range(30):
+        before, down = down, 60.0 * (-1) ** i if 10 <= i < 20 else 0.0
+        image = cv2.warpAffine(STILL.image, np.array([[1.0, 0, 0], [0, 1, down]]), STILL.image.shape[1::-1])
+        search.plates = [_candidate((0.0, down))]
+        p.shaken_px = down - before
+        ids |= {s.track_id for s in p.see(_frame(i, image)).plates}
+    assert ids == {1}
+
+
+def test_a_track_that_hides_where_another_plate_is_seen_is_a_ghost():
+    """A jump that nobody announced: the old track is followed on, but its vehicle's plate has another one by now."""
+    search = ScriptedSearch([_candidate()])
+    p = _perception(search, search_rate_hz=1000, lost_s=5.0)
+    for i in range(10):
+        p.see(_frame(i))
+    search.plates = [_candidate((0.0, 60.0))]
+    shown = [[s.track_id for s in p.see(_frame(i)).plates] for i in range(10, 30)]
+    assert shown[-1] == [2]
+
+
 def test_identities_are_counted_from_one_and_kept_while_plates_move():
     search = ScriptedSearch()
     p = _perception(search, flow=False)
