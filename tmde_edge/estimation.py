@@ -213,6 +213,8 @@ class Estimation:
         correction = self._p.attitude.correction
         turn = view_from_vehicle(self._pose) if correction == "rotate" else np.eye(3)
         found, scale, reason = self._p.ranger.measure(plate, camera, turn, s.t_ns, self._scales.get(plate.track_id))
+        if found is not None and correction != "rotate":
+            found = _placed(found, self._pose)
         if found is not None and correction == "paper":
             found = _scaled(found, cosine_ratio(self._pose, self._p.attitude.rest))
         if found is not None and not self._height_possible(plate, found, camera):
@@ -405,6 +407,18 @@ def _scaled(found: RangeMeasurement, factor: float) -> RangeMeasurement:
     return replace(
         found, distance_m=found.distance_m * factor, sigma_m=found.sigma_m * factor, noise_m=found.noise_m * factor, cues=cues
     )
+
+
+def _placed(found: RangeMeasurement, pose: Pose) -> RangeMeasurement:
+    """Measured along the optical axis: the distance stays, the bearing becomes the vehicle's, as that of boxes and lanes is."""
+    x, y, z = to_vehicle(np.array([found.lateral_m, found.down_m, found.distance_m]), pose).tolist()
+    z = max(z, 1e-3)  # what a turned camera sees beside or behind us is far off the path
+    lateral_m = x / z * found.distance_m
+    turned_m2 = (lateral_m**2 - found.lateral_m**2) * (found.sigma_m / found.distance_m) ** 2
+    return replace(
+        found, lateral_m=lateral_m, lateral_sigma_m=math.sqrt(max(found.lateral_sigma_m**2 + turned_m2, 0.0)),
+        down_m=y / z * found.distance_m,
+    )  # fmt: skip
 
 
 def _relative_range(plate: PlateSighting, s: Sighting) -> RangeMeasurement:

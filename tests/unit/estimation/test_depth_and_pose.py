@@ -11,7 +11,7 @@ from test_estimation import CALIBRATED, F_PX, H, W, approach, make, plate, resul
 
 from tmde_edge.estimation import Estimation
 from tmde_edge.geometry.pinhole import Camera
-from tmde_edge.messages import DepthReading, FrameResult, LaneSighting, Pose
+from tmde_edge.messages import DepthReading, FrameResult, LaneSighting, Pose, VehicleBox
 from tmde_edge.pose.compensate import view_from_vehicle
 from tmde_edge.tracking.lead import Track
 
@@ -194,3 +194,24 @@ def test_the_papers_correction_is_a_cosine() -> None:
         found[name] = last.plates[0].range.distance_m
     assert found["paper"] / found["none"] == pytest.approx(math.cos(math.radians(5.0)), abs=3e-4)
     assert found["rotate"] / found["none"] == pytest.approx(math.cos(math.radians(5.0)), abs=5e-3)
+
+
+@pytest.mark.parametrize("correction", ["rotate", "paper", "none"])
+def test_plate_and_vehicle_stand_in_one_frame_whatever_the_correction(correction: str) -> None:
+    """A camera that looks to the right: the car straight ahead of us is the lead, its plate seen or hidden."""
+    yaw_rad = 0.08
+    ahead_px = (W - 1) / 2 - F_PX * math.tan(yaw_rad)
+    seen = plate(20.0, lateral_m=-20.0 * math.tan(yaw_rad))
+    box = VehicleBox(
+        track_id=1, left_px=ahead_px - 80, right_px=ahead_px + 80, top_px=250.0, bottom_px=400.0, sigma_px=2.0
+    )  # fmt: skip
+    e = make(*CALIBRATED, f"camera.yaw_rad={yaw_rad}", f'pose.correction="{correction}"')
+    for k in range(33):
+        hidden = k >= 30
+        r = result_of(e.step(replace(sighting(k, *(() if hidden else (seen,))), vehicles=(box,) if hidden else ())))
+        if not hidden:
+            assert r.plates[0].range is not None
+            assert r.plates[0].range.lateral_m == pytest.approx(0.0, abs=0.02)
+        if k > 5:
+            assert r.lead is not None
+            assert r.lead.lateral_m == pytest.approx(0.0, abs=0.05)
