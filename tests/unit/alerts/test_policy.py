@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
+import random
 from dataclasses import replace
+
+import pytest
 
 from tmde_edge.alerts.policy import AlertPolicy, Situation
 from tmde_edge.alerts.settings import AlertSettings
@@ -55,6 +59,49 @@ def test_hold_keeps_the_shortest_alert() -> None:
     p = AlertPolicy(S)
     run(p, 0, 0.2, ttc_s=2.5)
     assert run(p, 0.2, 0.3, ttc_s=9.0)[-1][0] == "warning"
+
+
+def changes(levels: list[tuple[str, str]]) -> int:
+    return sum(a[0] != b[0] for a, b in itertools.pairwise(levels))
+
+
+def test_one_frame_without_a_lead_ends_no_alert() -> None:
+    p = AlertPolicy(S)
+    levels = run(p, 0, 2, ttc_s=2.0) + run(p, 2, 1 / 30, present=False) + run(p, 2 + 1 / 30, 1, ttc_s=2.0)
+    assert changes(levels) == 1
+    assert levels[60] == ("warning", "ttc")
+    gone = [level for level, _ in run(p, 3 + 1 / 30, 1, present=False)]
+    assert gone[: round(S.confirm_s * 30)] == ["warning"] * round(S.confirm_s * 30)
+    assert gone[round(S.confirm_s * 30) :] == ["none"] * (30 - round(S.confirm_s * 30))
+
+
+def test_a_warning_ends_in_a_caution_only_where_one_is_wanted() -> None:
+    p = AlertPolicy(S)
+    run(p, 0, 1, ttc_s=2.0)
+    assert run(p, 1, 0.5, ttc_s=3.9)[-1] == ("caution", "ttc")
+    run(p, 1.5, 1, ttc_s=2.0)
+    assert "caution" not in {level for level, _ in run(p, 2.5, 1, ttc_s=9.0)}
+
+
+@pytest.mark.parametrize("metric", [True, False])
+def test_no_flicker_where_the_closing_is_just_certain(metric: bool) -> None:
+    """1.15 m/s and a little noise, 2.6 m ahead: one warning, not thirty."""
+    rng = random.Random(1)
+    p, levels = AlertPolicy(S), []
+    for k in range(600):
+        closing = 1.15 + rng.gauss(0, 0.05)
+        now = replace(BASE, t_ns=round(k / 30 * 1e9), ttc_s=2.6 / closing, closing_mps=closing, closing_sigma_mps=0.1, gap_m=2.6)
+        if not metric:
+            now = replace(now, gap_m=None, closing_mps=None, closing_sigma_mps=None, ttc_s=2.2, ttc_sigma_s=0.84 / closing)
+        levels.append((p.step(now).level, ""))
+    assert changes(levels) == 1
+    assert levels[-1][0] == "warning"
+
+
+def test_a_standing_caution_makes_no_warning_easier() -> None:
+    """Closing that is too uncertain to warn of stays so beside a caution by headway."""
+    close = {"ttc_s": 3.0, "closing_mps": 1.1, "closing_sigma_mps": 0.2, "headway_s": 0.5}
+    assert {level for level, _ in run(AlertPolicy(S), 0, 3, **close)} == {"none", "caution"}
 
 
 def test_headway_never_warns() -> None:
