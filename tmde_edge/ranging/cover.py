@@ -12,6 +12,7 @@ TAU_S = 4.0  # how fast a track's usual sureness follows: a change that lasts is
 SURE = 0.6  # mean score of characters that are read with ease
 UNSURE_SHARE = 0.6  # below this share of the usual ...
 UNSURE = 0.45  # ... and below this, nothing is read
+LASTS_S = 1.0  # so long a cover is believed in without characters that say so: one bad reading must not end a plate
 
 
 @dataclass(slots=True)
@@ -28,10 +29,10 @@ class CoverCheck:
         self._usual: dict[int, _Usual] = {}
 
     def covered(self, plate: PlateSighting, t_ns: int) -> bool:
-        """True where this sighting should not be measured. One without characters is as the last one with some."""
+        """True where this sighting should not be measured. One without characters is for a while as the last one with some."""
         usual = self._usual.get(plate.track_id)
         if not plate.glyphs:
-            return usual is not None and usual.odd
+            return usual is not None and usual.odd and (t_ns - usual.t_ns) * 1e-9 <= LASTS_S
         score = math.fsum(g.score for g in plate.glyphs) / len(plate.glyphs)
         if usual is None:
             self._usual[plate.track_id] = _Usual(score, t_ns)

@@ -26,6 +26,16 @@ def test_cover_is_noticed_at_once_and_ends_with_it() -> None:
     assert not any(verdicts(check, [0.8, None, 0.8], 4.0))
 
 
+def test_one_bad_reading_does_not_cover_a_plate_for_good() -> None:
+    """An outline without characters (glare, a reader that finds none) is measured again after a while."""
+    check = CoverCheck()
+    verdicts(check, [0.85] * 60)
+    told = verdicts(check, [0.4] + [None] * 60, 2.0)
+    assert all(told[:30])
+    assert not any(told[32:])
+    assert all(verdicts(check, [0.4, None, None], 4.1))  # still nothing to read: still covered
+
+
 def test_a_plate_that_was_never_read_with_ease_is_never_covered() -> None:
     assert not any(verdicts(CoverCheck(), [0.5] * 60 + [0.3] * 60 + [None] * 3))
 
