@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import itertools
 import math
 import re
 import sys
@@ -33,6 +34,16 @@ else:
 Positive = Annotated[float, Meta(gt=0)]
 NotNegative = Annotated[float, Meta(ge=0)]
 PositiveInt = Annotated[int, Meta(gt=0)]
+
+
+_ORDERED = (  # the first must not be above the second, and why
+    ("alerts.warning_ttc_s", "alerts.caution_ttc_s", "a caution comes before a warning"),
+    ("alerts.caution_ttc_s", "alerts.max_ttc_s", "no caution and no warning by TTC comes above max_ttc_s: raise it too"),
+    ("alerts.inactive_speed_mps", "alerts.active_speed_mps", "alerts go off below the speed at which they come on"),
+    ("tracker.path_half_width_m", "tracker.path_leave_m", "what enters the path must not leave it at once: raise both"),
+    ("tracker.standing_half_width_m", "tracker.standing_leave_m", "what enters the path must not leave it at once: raise both"),
+    ("ranging.min_distance_m", "ranging.max_distance_m", "nothing would ever be ranged"),
+)
 
 
 class CalibrationRecord(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -240,12 +251,22 @@ def from_tree(tree: dict[str, Any], where: str) -> Config:
             camera.camera()
         except ConfigError as e:
             raise ConfigError(f"{where}: camera.prior: {e}") from None
-    if config.alerts.caution_ttc_s < config.alerts.warning_ttc_s:
-        raise ConfigError(
-            f"{where}: alerts.caution_ttc_s = {config.alerts.caution_ttc_s} is below alerts.warning_ttc_s = "
-            f"{config.alerts.warning_ttc_s}; a caution comes before a warning"
-        )
+    _check_order(config, where)
     return config
+
+
+def _check_order(config: Config, where: str) -> None:
+    """Values that contradict each other are errors: one of them would silence alerts, or switch them on and off."""
+    for low, high, why in _ORDERED:
+        (table, low_key), high_key = low.split("."), high.split(".")[1]
+        values = getattr(config, table)
+        below, above = getattr(values, low_key), getattr(values, high_key)
+        if below > above:
+            raise ConfigError(f"{where}: {low} = {below} is above {high} = {above}; {why}")
+    ids = {"can.alert_id": config.can.alert_id, "can.lead_id": config.can.lead_id, "can.status_id": config.can.status_id}
+    for (name, can_id), (other, other_id) in itertools.combinations(ids.items(), 2):
+        if can_id == other_id:
+            raise ConfigError(f"{where}: {name} and {other} are both 0x{can_id:X}; give every message an id of its own")
 
 
 def to_tree(config: Config) -> dict[str, Any]:

@@ -87,7 +87,7 @@ class AlertPolicy:
                 last_s = min(s.standing_ttc_s, self._last_moment_s(now))
                 warning_s, caution_s = min(warning_s, last_s), min(caution_s, last_s)
             if self._closing(now, ease[2]):
-                if now.ttc_s <= warning_s * ease[2]:
+                if now.ttc_s <= min(warning_s * ease[2], s.max_ttc_s):
                     return "warning", "ttc"
                 within = now.ttc_s <= (warning_s if now.standing else s.max_ttc_s)
                 decel = now.required_decel_mps2

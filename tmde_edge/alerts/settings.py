@@ -21,7 +21,7 @@ class AlertSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     max_ttc_s: Positive = 4.0  # no alert of any reason but headway above this TTC
     warning_decel_mps2: Positive = 5.0  # required deceleration v^2 / (2 D)
     caution_headway_s: NotNegative = 0.6  # 0: off. Headway never raises a warning
-    hysteresis: Positive = 1.2  # an alert ends when its threshold times this is passed
+    hysteresis: Annotated[float, Meta(ge=1)] = 1.2  # an alert ends when its threshold times this is passed
     confirm_s: NotNegative = 0.1  # the condition must hold this long
     hold_s: NotNegative = 0.8  # shortest alert
     confidence_sigma: NotNegative = 1.5  # closing must be certain by this many sigmas

@@ -145,6 +145,14 @@ def test_required_deceleration() -> None:
     assert run(AlertPolicy(S), 0, 1, ttc_s=3.9, required_decel_mps2=6.0)[-1] == ("warning", "deceleration")
 
 
+def test_nothing_but_headway_above_the_highest_ttc() -> None:
+    early = AlertSettings(warning_ttc_s=3.9, caution_ttc_s=4.0)
+    p = AlertPolicy(early)
+    assert run(p, 0, 1, ttc_s=3.8)[-1] == ("warning", "ttc")
+    assert run(p, 1, 1, ttc_s=4.2)[-1][0] == "none"  # nor by hysteresis
+    assert run(p, 2, 1, ttc_s=4.2, headway_s=0.5)[-1] == ("caution", "headway")
+
+
 def test_what_never_moved_is_told_of_late() -> None:
     """A car that stands at the bend's outer kerb lies ahead until the bend begins."""
     assert run(AlertPolicy(S), 0, 1, ttc_s=2.7, required_decel_mps2=8.0, standing=True)[-1][0] == "none"
