@@ -9,7 +9,8 @@ from scenes import plate_still
 
 from tmde_edge.vision.bands import with_bands
 from tmde_edge.vision.edge_model import fit_edges
-from tmde_edge.vision.refine import first_step, refine_outline
+from tmde_edge.vision.edge_steps import first_step
+from tmde_edge.vision.refine import refine_outline
 
 
 def _nudged(corners, width_px, seed):
