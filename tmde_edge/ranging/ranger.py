@@ -32,6 +32,8 @@ _MISFITS_TO_RESET = 3
 _STRAIN = 1.3  # a fit under more strain asks for a second look from elsewhere
 _SHAPE_SLACK = 3.0  # the cheap look may be wrong by so much in log likelihood
 _UNASSIGNED_COST = 9.0  # of a glyph that fits no class of a standard
+_SIZES = ("char_height", "plate_width", "plate_height")  # a missed character doubles the spacing: it contradicts nobody
+_TORN_DOF = 1.0  # cues as good as stated that stand behind those of one sighting
 _MISPLACED_COST = 3.0  # of a glyph of another height than the standard's layout has there
 
 
@@ -232,6 +234,7 @@ class Ranger:
             prior_var = sum(p.weight * p.prior_var for p in parts.values()) + spread**2
             distance = float(np.exp(mean))
             used = _used_by_fit(best)
+            prior_var = max(prior_var, _torn([c for c in measured if c.name in used and c.name in _SIZES], mean))
         scale_sigma = float(np.hypot(prior_var**0.5, camera.focal_sigma))
         relative = float(np.hypot(scale_sigma, noise_var**0.5))
         if not np.isfinite(distance) or not np.isfinite(relative):
@@ -255,6 +258,19 @@ class Ranger:
             tall = np.zeros(len(features.heights), dtype=bool)
             tall[clusters(np.log(features.heights))[0]] = answer.group.expected.classes == 1
         return cues.all_cues(features, answer.group.expected.standard, tall, self.settings)
+
+
+def _torn(used: list[cues.Cue], log_d: float) -> float:
+    """Relative variance that cues leave which contradict each other (Birge's ratio over them): one is wrong, nobody knows which.
+
+    A fit that follows two of three calls the third one wild and would be as sure as if it had never been seen.
+    """
+    relative = np.array([c.sigma_m / c.distance_m for c in used])
+    if len(relative) < 2:
+        return 0.0
+    chi2 = float(np.sum(((np.log([c.distance_m for c in used]) - log_d) / relative) ** 2))
+    excess = (chi2 + _TORN_DOF) / (len(relative) - 1 + _TORN_DOF)
+    return excess / float(np.sum(relative**-2.0)) if excess > 1.0 else 0.0
 
 
 def _hypotheses(answers: list[_Answer], belief: dict[str, float], known: TrackScale | None) -> dict[str, _Hypothesis]:

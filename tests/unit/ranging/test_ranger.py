@@ -317,3 +317,11 @@ def test_cues_that_contradict_each_other_widen_the_sigma() -> None:
     torn = sighting(STANDARDS["ru-1"], distance_m=6.0, glyph_sigma=0.05, corner_sigma=0.1, glyph_mm=76 * 0.96)
     a, b = (ranged(ranger("ru-1"), p) for p in (agree, torn))
     assert b.sigma_m > 1.3 * a.sigma_m
+
+
+@pytest.mark.parametrize("share", [0.90, 0.85, 0.80])
+def test_characters_that_the_fit_calls_wild_still_widen_the_sigma(share: float) -> None:
+    """10 to 20 % too small against both sides of the outline: whoever is right, the other stays within 5 sigma of it."""
+    torn = sighting(STANDARDS["ru-1"], distance_m=8.0, glyph_sigma=0.05, corner_sigma=0.1, glyph_mm=76 * share)
+    found = ranged(ranger("ru-1"), torn)
+    assert found.sigma_m > 0.2 * (1 / share - 1) * 8.0
