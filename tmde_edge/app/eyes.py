@@ -51,13 +51,13 @@ class Eyes:
         start_ns = self._clock_ns()
         prior = self._prior_px(frame.image.shape[1], frame.image.shape[0])
         tilt = self._tilt.see(frame.image, frame.t_ns, prior)
-        tilt_ns = self._clock_ns() - start_ns
         self._perception.far_point_px = prior
         self._perception.shaken_px = 0.0 if tilt is None else tilt.down_px
+        took_ns = self._clock_ns() - start_ns
         sighting = self._perception.see(frame)
         if (self._lanes is None and self._horizon is None) or sighting.status == "blind":
-            return sighting
-        start_ns = self._clock_ns() - tilt_ns
+            return _timed(sighting, took_ns)
+        start_ns = self._clock_ns()
         lanes: LaneSighting | None = None
         if self._lanes_due(frame.t_ns, sighting.searched):
             self._looked_ns = frame.t_ns
@@ -70,11 +70,7 @@ class Eyes:
                 self._course_ns = frame.t_ns
                 focal_px = self._focal_px(frame.image.shape[1], frame.image.shape[0])
                 lanes = replace(lanes, course_px=find_course(frame.image, lanes.vanishing_px, focal_px))
-        took_ms = (self._clock_ns() - start_ns) * 1e-6
-        timing = dict(sighting.timing_ms)
-        timing["pose"] = took_ms
-        timing["total"] = timing.get("total", 0.0) + took_ms
-        return replace(sighting, lanes=lanes, tilt=tilt, timing_ms=timing)
+        return _timed(replace(sighting, lanes=lanes, tilt=tilt), took_ns + self._clock_ns() - start_ns)
 
     def _lanes_due(self, t_ns: int, searched: bool) -> bool:
         """Whether to look for lanes; not beside a full search where the next frame comes soon enough."""
@@ -90,6 +86,14 @@ class Eyes:
     def see_still(self, frame: Frame) -> Sighting:
         """A picture by itself."""
         return self._perception.see_still(frame)
+
+
+def _timed(sighting: Sighting, pose_ns: int) -> Sighting:
+    """With the time that the camera's attitude took."""
+    timing = dict(sighting.timing_ms)
+    timing["pose"] = pose_ns * 1e-6
+    timing["total"] = timing.get("total", 0.0) + timing["pose"]
+    return replace(sighting, timing_ms=timing)
 
 
 def _due(last_ns: int | None, t_ns: int, period_ns: int) -> bool:

@@ -18,7 +18,8 @@ CONTRAST_GREY = 4.0  # what noise may look like: less contrast than this counts 
 SURE = 5  # looks after which a plate is known
 SHARE = 0.2  # of a new look in what is known
 CLIPPED_GREY, PALE_GREY = 250, 220  # the sensor's white is reached; a character this pale has lost most of its contrast
-INK_SHARE = 15  # per cent of a plate that its characters cover at least
+INK_SHARE = 15  # per cent of a plate that its characters and borders usually cover at least
+DARK_SHARE, DARK_GREY = 3, 140  # so little is enough to tell that the ink is dark where a plate has few characters
 LEAST = 0.3  # correlation; one pixel of misplacement and blur leave 0.5 and more, a cover about 0
 
 
@@ -70,4 +71,5 @@ def is_washed_out(look: Image | None) -> bool:
     if look is None:
         return False
     grey = np.sort(look, axis=None)
-    return bool(grey[grey.size // 2] >= CLIPPED_GREY and grey[grey.size * INK_SHARE // 100] >= PALE_GREY)
+    paper, ink, darkest = (float(grey[grey.size * share // 100]) for share in (50, INK_SHARE, DARK_SHARE))
+    return paper >= CLIPPED_GREY and ink >= PALE_GREY and darkest >= DARK_GREY

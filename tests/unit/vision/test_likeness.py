@@ -72,3 +72,10 @@ def test_glare_that_eats_the_ink_is_washed_out_a_clipped_plate_with_dark_ink_is_
     assert is_washed_out(small_look(in_glare, small.corners_px))
     assert not is_washed_out(small_look(in_lamps, large.corners_px))
     assert not is_washed_out(small_look(in_glare, small.corners_px * np.nan))
+
+
+def test_a_clipped_plate_of_two_dark_characters_is_not_washed_out():
+    plate = np.full((14, 48), 255, np.uint8)
+    plate[3:11, 20:22] = plate[3:11, 26:28] = 20  # 5 % ink
+    assert not is_washed_out(plate)
+    assert is_washed_out(np.maximum(plate, 235))
