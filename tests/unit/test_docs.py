@@ -81,8 +81,10 @@ def test_commands_that_documents_show_are_understood(page: Path) -> None:
     parser = _parser()
     verbs = next(a for a in parser._actions if isinstance(a, argparse._SubParsersAction)).choices
     text = page.read_text(encoding="utf-8").replace("\\\n", " ")
+    fenced = re.findall(r"^```\w*\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+    indented = re.sub(r"^", "    ", "\n".join([*fenced, ""]), flags=re.MULTILINE)
     wrong = []
-    for command in re.findall(r"(?:^ +(?:sudo )?(?:\S*/)?|`(?:sudo )?)tmde-edge ([^`\n]*)", text, re.MULTILINE):
+    for command in re.findall(r"(?:^ +(?:sudo )?(?:\S*/)?|`(?:sudo )?)tmde-edge ([^`\n]*)", text + indented, re.MULTILINE):
         try:
             words = shlex.split(command, comments=True)
         except ValueError:

@@ -11,9 +11,9 @@ from pathlib import Path
 from tmde_edge.app.bundle import S, find_last_alert, find_time, kept_incident, unpack, write_bundle
 from tmde_edge.app.drive_log import DriveLogReader
 from tmde_edge.app.incident import incident_folders
-from tmde_edge.app.ring import segments, utc_name
+from tmde_edge.app.ring import readable, segments, utc_name
 from tmde_edge.app.status import ask, socket_path
-from tmde_edge.errors import InputDataError, InputMissingError, UsageError
+from tmde_edge.errors import InputDataError, UsageError
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,8 +34,7 @@ def take_out(
     """
     if not 0 <= before_s <= 600 or not 0 <= after_s <= 600:
         raise UsageError(f"--before {before_s:g} --after {after_s:g}: give seconds between 0 and 600")
-    if not folder.is_dir():
-        raise InputMissingError(f"{folder}: no such folder of recordings; name it, or set record.folder")
+    readable(folder)
     found = find_time(folder, _time(at)) if at is not None else find_last_alert(folder) if kept is None else None
     if found is None:
         path = kept_incident(folder, kept or None)
@@ -50,8 +49,7 @@ def take_out(
 
 def list_lines(folder: Path) -> Iterator[str]:
     """The ring in a line, and a line a kept incident. Raises InputMissingError."""
-    if not folder.is_dir():
-        raise InputMissingError(f"{folder}: no such folder of recordings; name it, or set record.folder")
+    readable(folder)
     parts = segments(folder)
     size_mb = sum(p.size for p in parts) / 1e6
     drives = len({p.drive for p in parts})

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from tmde_edge.app.drive_log import Begins, DriveLogWriter, Json, Part
 from tmde_edge.config import RecordConfig
-from tmde_edge.errors import InputDataError
+from tmde_edge.errors import InputDataError, InputMissingError
 from tmde_edge.messages import Event, Output, RangeReference
 
 _log = logging.getLogger(__name__)
@@ -43,6 +43,19 @@ class Segment:
             return self.path.stat().st_size
         except OSError:
             return 0
+
+
+def readable(folder: Path) -> Path:
+    """A folder of recordings that is there and ours to read. Raises InputMissingError."""
+    try:
+        os.listdir(folder)
+    except (FileNotFoundError, NotADirectoryError):
+        raise InputMissingError(f"{folder}: no such folder of recordings; name it, or set record.folder") from None
+    except PermissionError:
+        raise InputMissingError(
+            f"{folder}: not yours to read; join the group (sudo usermod -aG tmde-edge $USER, then log in again) or use sudo"
+        ) from None
+    return folder
 
 
 def segments(folder: Path) -> list[Segment]:

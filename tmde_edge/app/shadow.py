@@ -15,6 +15,7 @@ from typing import Any
 
 from tmde_edge.app.incident import incident_folders, warnings_of
 from tmde_edge.app.odometer import Watched, read_odometer, read_verdicts
+from tmde_edge.app.ring import readable
 from tmde_edge.errors import InputMissingError
 
 Json = dict[str, Any]
@@ -45,9 +46,7 @@ class ShadowReport:
 
 def read_shadow(folder: Path) -> ShadowReport:
     """Reads a recording folder. Raises InputMissingError where there is nothing to report on."""
-    if not folder.is_dir():
-        raise InputMissingError(f"{folder}: no such folder of recordings; name it, or set record.folder")
-    report = ShadowReport(folder)
+    report = ShadowReport(readable(folder))
     for _, watched in read_odometer(folder):
         report.watched.add(watched)
     for path in incident_folders(folder):

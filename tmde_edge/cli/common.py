@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 
 from tmde_edge.errors import writing
 
+INSTALLED = Path("/etc/tmde-edge/config.toml")
 T = TypeVar("T")
 Verb = Callable[[argparse.Namespace], int]
 
@@ -69,6 +70,12 @@ def config_of(args: argparse.Namespace) -> Any:
     from tmde_edge.config import load
 
     return load(args.config, args.overrides)
+
+
+def use_installed(args: argparse.Namespace) -> None:
+    """Without -c, what asks about this board means the installed service's configuration, where there is one."""
+    if args.config is None and INSTALLED.is_file():
+        args.config = INSTALLED
 
 
 def base_dir(args: argparse.Namespace) -> Path:

@@ -7,7 +7,7 @@ import json
 import sys
 from pathlib import Path
 
-from tmde_edge.cli.common import Verbs, base_dir, config_of, number, say
+from tmde_edge.cli.common import Verbs, base_dir, config_of, number, say, use_installed
 from tmde_edge.errors import UsageError
 
 
@@ -86,6 +86,7 @@ def _status(args: argparse.Namespace) -> int:
 
     from tmde_edge.app.status import ask, lines_of, socket_path
 
+    use_installed(args)
     path = socket_path(args.socket or config_of(args).runtime.status_socket)
     while True:
         answer = ask(path, {"request": "status"})
@@ -100,6 +101,7 @@ def _status(args: argparse.Namespace) -> int:
 def _incident(args: argparse.Namespace) -> int:
     from tmde_edge.app import incidents
 
+    use_installed(args)
     config = config_of(args)
     folder = args.folder or Path(config.record.folder)
     if args.list:
@@ -118,6 +120,7 @@ def _incident(args: argparse.Namespace) -> int:
 def _shadow_report(args: argparse.Namespace) -> int:
     from tmde_edge.app import shadow
 
+    use_installed(args)
     report = shadow.read_shadow(args.folder or Path(config_of(args).record.folder))
     if args.html is not None:
         try:

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from tmde_edge.cli.common import Verbs, base_dir, config_of, number, progress_bar, say
+from tmde_edge.cli.common import INSTALLED, Verbs, base_dir, config_of, number, progress_bar, say, use_installed
 from tmde_edge.errors import ModelError, TmdeError, UsageError
 
 
@@ -54,6 +54,7 @@ def _check_config(args: argparse.Namespace) -> int:
     from tmde_edge.app.wiring import check_parts
     from tmde_edge.config import to_tree
 
+    use_installed(args)
     config = config_of(args)
     notes = check_parts(config, base_dir(args))
     print(json.dumps(to_tree(config), indent=1, allow_nan=False))
@@ -120,7 +121,7 @@ def _models(args: argparse.Namespace) -> int:
 def _can(args: argparse.Namespace) -> int:
     from tmde_edge.app import can_transmit
 
-    path = args.config if args.config is not None else Path("/etc/tmde-edge/config.toml")
+    path = args.config if args.config is not None else INSTALLED
     if args.overrides:
         raise UsageError("can: --set changes no file; edit the configuration, or name it with -c")
     if args.seconds <= 0:
@@ -155,6 +156,7 @@ def _doctor(args: argparse.Namespace) -> int:
     from tmde_edge.app import doctor
     from tmde_edge.app.status import ask, socket_path
 
+    use_installed(args)
     config = config_of(args)
 
     def status() -> dict[str, Any] | None:

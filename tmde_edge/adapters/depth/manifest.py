@@ -19,6 +19,7 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
+INSTALLED_STATE = Path("/var/lib/tmde-edge")
 PACKAGED = Path(__file__).resolve().parents[2] / "models" / "manifest.toml"
 SIDECAR_SUFFIX = ".toml"  # beside an .onnx file that is in no manifest: its contract
 Sha256 = Annotated[str, Meta(pattern="^[0-9a-f]{64}$")]
@@ -50,12 +51,14 @@ class Manifest(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 def models_folder(configured: str = "") -> Path:
-    """The configured folder, else systemd's state folder, else the user's own."""
+    """The configured folder, else the service's (as systemd names it, or as installed and open to us), else the user's own."""
     if configured:
         return Path(configured).expanduser()
     state = os.environ.get("STATE_DIRECTORY", "").split(":")[0]
     if state:
         return Path(state) / "models"
+    if os.access(INSTALLED_STATE, os.R_OK | os.X_OK):
+        return INSTALLED_STATE / "models"
     home = os.environ.get("XDG_STATE_HOME") or "~/.local/state"
     return Path(home).expanduser() / "tmde-edge" / "models"
 

@@ -27,6 +27,7 @@ from tmde_edge.errors import DeviceError
 
 MOST_STREAMS = 8  # pictures and numbers at once; beyond that: 503
 COOKIE = "tmde_edge_view"
+EVERY_ADDRESS = ("0.0.0.0", "::", "")
 WRONG_TOKEN_S = 0.5
 POLITE_S, JOIN_S = 0.5, 1.0  # at the end for streams to end by themselves; for the thread
 QUIET_S = 5.0  # without news a stream says that it still lives
@@ -54,6 +55,16 @@ def is_loopback(host: str) -> bool:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
         return False
+
+
+def _own_address() -> str:
+    """This machine's address on the network that it would use, else its name. Asks the routing table; nothing is sent."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(("192.0.2.1", 9))  # an address for documentation, RFC 5737
+            return str(probe.getsockname()[0])
+        except OSError:
+            return socket.gethostname()
 
 
 class ViewServer:
@@ -85,7 +96,8 @@ class ViewServer:
     @property
     def url(self) -> str:
         """What to open in a browser."""
-        shown = f"[{self._host}]" if ":" in self._host else self._host
+        host = _own_address() if self._host in EVERY_ADDRESS else self._host  # "all" is no address to open
+        shown = f"[{host}]" if ":" in host else host
         return f"http://{shown}:{self.port}/" + (f"?token={self.token}" if self.token else "")
 
     def start(self) -> None:
