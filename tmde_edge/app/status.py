@@ -19,6 +19,7 @@ from tmde_edge.errors import InputDataError, InputMissingError
 _log = logging.getLogger(__name__)
 Json = dict[str, Any]
 Answer = Callable[[Json], Json]
+NOT_OURS = "{}: no permission; use sudo, or join the group of the service (tmde-edge)"
 RUN_FOLDER = Path("/run/tmde-edge")
 _NAME = "status.sock"
 _LONGEST = 4096  # bytes of a request
@@ -126,7 +127,7 @@ def ask(path: Path, request: Json, timeout_s: float = 5.0) -> Json:
             with connection.makefile("rb") as lines:
                 answer = json.loads(lines.readline())
         except PermissionError:
-            raise InputMissingError(f"{path}: no permission; use sudo, or join the group of the service (tmde-edge)") from None
+            raise InputMissingError(NOT_OURS.format(path)) from None
         except (TimeoutError, BlockingIOError):
             raise InputDataError(f"{path}: the service did not answer within {timeout_s:g} s") from None
         except OSError as error:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import socket
+import threading
 from pathlib import Path
 
 import pytest
@@ -10,6 +12,7 @@ import pytest
 from tmde_edge.adapters.depth import manifest
 from tmde_edge.app import incidents, shadow
 from tmde_edge.app.view import server
+from tmde_edge.app.view.run import _records
 from tmde_edge.cli import common, main
 from tmde_edge.errors import InputMissingError
 
@@ -38,6 +41,15 @@ def test_recordings_of_others_are_refused_in_one_line(
     monkeypatch.setattr(os, "listdir", closed)
     with pytest.raises(InputMissingError, match="usermod"):
         read(tmp_path)  # type: ignore[operator]
+
+
+def test_a_page_over_records_that_are_not_ours_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(self: socket.socket, address: str) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(socket.socket, "connect", refused)
+    with pytest.raises(InputMissingError, match="group"):
+        list(_records(tmp_path / "records.sock", threading.Event()))
 
 
 def test_models_go_where_the_installed_service_looks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -23,6 +23,7 @@ from tmde_edge.app.can_times import CanTimeline
 from tmde_edge.app.dry_run import Step, dry_run
 from tmde_edge.app.live import BusPort, LiveLoop
 from tmde_edge.app.publish import socket_path
+from tmde_edge.app.status import NOT_OURS
 from tmde_edge.app.view.hub import Hub
 from tmde_edge.app.view.keeper import PageKeeper
 from tmde_edge.app.view.server import ViewServer
@@ -130,11 +131,13 @@ def view_service(config: Config, say: Callable[[str], None]) -> int:
 
 
 def _records(path: Path, stop: threading.Event) -> Iterator[dict[str, Any]]:
-    """JSON lines of a unix socket until it ends."""
+    """JSON lines of a unix socket until it ends. Raises InputMissingError where it is not ours to read."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as s:
         try:
             s.connect(str(path))
             s.settimeout(0.5)
+        except PermissionError:
+            raise InputMissingError(NOT_OURS.format(path)) from None
         except OSError:
             return
         waiting = b""
