@@ -58,6 +58,19 @@ def test_wrong_use_is_an_error(net: PlateNet) -> None:
         net.detect(image, region_px=(600, 0, 700, 100), scale=1.0)
     with pytest.raises(ValueError, match="scale"):
         net.detect(image, scale=0.0)
+    with pytest.raises(ValueError, match="score_min"):
+        net.detect(image, score_min=1.0)
+
+
+def test_a_network_that_gives_nan_is_broken_and_no_empty_road(net: PlateNet, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Broken:
+        def run(self, names: None, feed: dict[str, NDArray[np.uint8]]) -> list[NDArray[np.float32]]:
+            (image,) = feed.values()
+            return [np.full((1, 9, image.shape[1] // s, image.shape[2] // s), np.nan, np.float32) for s in (4, 16)]
+
+    monkeypatch.setattr(net, "_session", Broken())
+    with pytest.raises(ModelError, match=r"platenet\.onnx: the network's scores are not finite; install"):
+        net.detect(scene(80, (400, 200))[0], scale=1.0)
 
 
 def test_padding_keeps_the_picture_at_the_top_left() -> None:

@@ -28,9 +28,9 @@ class PlateNet:
     """The packaged plate network. `threads` bounds its pool. Raises ModelError when the file is missing or is no PlateNet."""
 
     def __init__(self, threads: int = 1, model_path: Path | None = None) -> None:
-        path = model_path or MODEL_PATH
+        path = self._path = model_path or MODEL_PATH
         if not path.is_file():
-            raise ModelError(f"{path}: the plate network is missing; install the package again or set detector.model")
+            raise ModelError(f"{path}: the plate network is missing; install the package again")
         ort.disable_telemetry_events()
         options = ort.SessionOptions()
         options.intra_op_num_threads = threads
@@ -62,19 +62,25 @@ class PlateNet:
         """Candidates in source pixels, best first; an empty list means: no plate there.
 
         image: BGR or grey. region_px: (x0, y0, x1, y1), half open, inside the image. scale: network pixels per source
-        pixel; plates 8..330 px wide in network pixels are found. Raises ValueError for an empty region or a bad scale.
+        pixel; plates 8..330 px wide in network pixels are found. Raises ValueError for an empty region, a bad scale or a
+        score_min outside 0..1, ModelError where the network's output is not finite.
         """
         x0, y0, x1, y1 = region_px or (0, 0, image.shape[1], image.shape[0])
         if not (0 <= x0 < x1 <= image.shape[1] and 0 <= y0 < y1 <= image.shape[0]):
             raise ValueError(f"region {region_px} is empty or leaves the image of {image.shape[1]}x{image.shape[0]} px")
+        if not 0.0 < score_min < 1.0:
+            raise ValueError(f"score_min {score_min}: must lie between 0 and 1")
         if not 0.0 < scale <= 8.0:
             raise ValueError(f"scale {scale}: must lie in 0..8")
         fed, scale_xy = prepare(image[y0:y1, x0:x1], scale)
         maps: list[Maps] = self._session.run(None, {self._input: fed})
-        return decode(
-            tuple(m[0] for m in maps), score_min=score_min, scale_xy=scale_xy, origin_px=(float(x0), float(y0)),
-            max_candidates=max_candidates,
-        )
+        try:
+            return decode(
+                tuple(m[0] for m in maps), score_min=score_min, scale_xy=scale_xy, origin_px=(float(x0), float(y0)),
+                max_candidates=max_candidates,
+            )
+        except ValueError as error:
+            raise ModelError(f"{self._path}: {error}; install the package again") from error
 
 
 def prepare(crop: Image, scale: float) -> tuple[NDArray[np.uint8], tuple[float, float]]:

@@ -31,17 +31,19 @@ def decode(
 
     maps: one (9, H/stride, W/stride) array a head. scale_xy: network pixels per source pixel. origin_px: the source pixel
     coordinates of the cropped region's first pixel. With pixel centres at integers, source = (net + 0.5) / scale - 0.5 + origin.
-    Raises ValueError for maps of another shape or a score_min outside 0..1.
+    Raises ValueError for maps of another shape, for what is not finite, and for a score_min outside 0..1.
     """
     if not 0.0 < score_min < 1.0:
         raise ValueError(f"score_min {score_min}: must lie between 0 and 1")
     if len(maps) != len(STRIDES_PX) or any(m.ndim != 3 or m.shape[0] != CHANNELS for m in maps):
         raise ValueError(f"PlateNet gives {len(STRIDES_PX)} maps of {CHANNELS} channels, got shapes {[m.shape for m in maps]}")
+    if not all(np.isfinite(m[0]).all() for m in maps):
+        raise ValueError("the network's scores are not finite")
     logit_min = float(np.log(score_min / (1.0 - score_min)))
     found = [_peaks(m, s, u, logit_min) for m, s, u in zip(maps, STRIDES_PX, UNITS_PX, strict=True)]
     quads, scores = np.concatenate([q for q, _ in found]), np.concatenate([s for _, s in found])
-    good = np.isfinite(quads).all((1, 2)) & np.isfinite(scores)
-    quads, scores = quads[good], scores[good]
+    if not np.isfinite(quads).all():
+        raise ValueError("the network's corners are not finite")
     order = np.argsort(-scores, kind="stable")
     kept = suppress(quads[order], max_candidates)
     scale, origin = np.array(scale_xy), np.array(origin_px)

@@ -78,13 +78,22 @@ def test_a_plate_on_a_sign_that_scores_higher_stays() -> None:
     assert [round(float(np.ptp(c.corners_px[:, 0]))) for c in found] == [250, 90]
 
 
-def test_low_scores_and_broken_quads_give_nothing() -> None:
+def test_low_scores_and_flat_quads_give_nothing() -> None:
     assert decode(maps_of([rectangle(100, 60, 80, 18)], 0, logit=-2.0), score_min=0.3) == []
-    bad = maps_of([rectangle(100, 60, 80, 18)], 0)
-    bad[0][1:] = np.nan
-    assert decode(bad, score_min=0.3) == []
     flat = maps_of([rectangle(100, 60, 80, 0.0)], 0)
     assert decode(flat, score_min=0.3) == []
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("head", [0, 1])
+def test_what_is_not_finite_is_no_empty_road(head: int, bad: float) -> None:
+    scores, corners = (maps_of([rectangle(160, 96, 80, 18)], head) for _ in range(2))
+    scores[head][0, 0, 0] = bad
+    with pytest.raises(ValueError, match="scores are not finite"):
+        decode(scores, score_min=0.3)
+    corners[head][1:] = bad
+    with pytest.raises(ValueError, match="corners are not finite"):
+        decode(corners, score_min=0.3)
 
 
 def test_at_most_the_best_are_kept() -> None:
