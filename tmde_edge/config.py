@@ -251,6 +251,14 @@ def from_tree(tree: dict[str, Any], where: str) -> Config:
             camera.camera()
         except ConfigError as e:
             raise ConfigError(f"{where}: camera.prior: {e}") from None
+    detector = config.detector
+    if len(detector.onnx_mean) not in (0, 3):
+        raise ConfigError(f"{where}: detector.onnx_mean has {len(detector.onnx_mean)} values; give one a channel, or none")
+    if detector.onnx_format == "yolo-corners" and detector.onnx_class >= detector.onnx_classes:
+        raise ConfigError(
+            f"{where}: detector.onnx_class = {detector.onnx_class} of detector.onnx_classes = {detector.onnx_classes}; "
+            "classes count from 0"
+        )
     _check_order(config, where)
     return config
 

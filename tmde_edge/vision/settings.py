@@ -9,6 +9,7 @@ from msgspec import Meta, Struct
 Positive = Annotated[float, Meta(gt=0)]
 NotNegative = Annotated[float, Meta(ge=0)]
 Fraction = Annotated[float, Meta(ge=0, le=1)]
+Score = Annotated[float, Meta(gt=0, lt=1)]  # a bar that some candidates pass and some do not
 PositiveInt = Annotated[int, Meta(ge=1)]
 
 
@@ -16,8 +17,8 @@ class DetectorSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     """Which finder, where and how often it looks, and when a plate counts as seen."""
 
     kind: Literal["platenet", "contour", "onnx"] = "platenet"  # our network, the paper, a network of yours
-    score_min: Fraction = 0.5  # candidates below this are not plates (strict mode)
-    permissive_score_min: Fraction = 0.3  # the same in permissive mode
+    score_min: Score = 0.5  # candidates below this are not plates (strict mode)
+    permissive_score_min: Score = 0.3  # the same in permissive mode
     permissive_after_frames: PositiveInt = 30  # without a plate: permissive; strict again on success
     confident_score: Fraction = 0.8  # a new plate this sure is reported at once; others when seen confirm_hits times
     confirm_hits: PositiveInt = 2  # sightings by the detector before a less sure plate is reported
@@ -32,7 +33,7 @@ class DetectorSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     region_margin: Positive = 1.0  # region search: the predicted box and this many plate widths round it
     region_plate_px: Positive = 96.0  # region search scales the plate to about this width (never enlarged)
 
-    still_score_min: Fraction = 0.3  # the same for stills, where finder and reader are asked again before a plate is believed
+    still_score_min: Score = 0.3  # the same for stills, where finder and reader are asked again before a plate is believed
     still_belief_min: Fraction = 0.5  # finder, reader and a closer look together: less is no plate in a still, and no new track
     still_beside_min: Fraction = 0.8  # the same for further plates beside a sure one
     still_second_look: bool = True  # `measure`: tiles at full resolution where the whole view shows no sure plate
@@ -55,7 +56,7 @@ class DetectorSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     onnx_mean: list[float] = []  # of three channels, 0..255, subtracted; empty: 104 117 123 (ssd-corners), else none
     onnx_scale: Positive | None = None  # multiplies after that; none: 1 (ssd-corners), else 1/255
     onnx_rgb: bool | None = None  # channel order; none: BGR (ssd-corners), else RGB
-    onnx_class: Annotated[int, Meta(ge=0)] = 0  # which class is the plate
+    onnx_class: Annotated[int, Meta(ge=0)] = 0  # which class is the plate, from 0
     onnx_classes: PositiveInt = 1  # how many there are (yolo-corners)
     onnx_no_object: bool = False  # detr: the last class means none (softmax); else every class has its own sigmoid
     # ssd-corners: sides of the priors at strides 8, 16, 32
