@@ -45,7 +45,8 @@ class OnnxFinder:
         except LOAD_ERRORS as error:
             raise ModelError(f"{path}: ONNX Runtime cannot load the detector: {error}") from error
         inputs = self._session.get_inputs()
-        if len(inputs) != 1 or len(inputs[0].shape) != 4 or inputs[0].type not in ("tensor(float)", "tensor(uint8)"):
+        fits = len(inputs) == 1 and len(inputs[0].shape) == 4 and inputs[0].type in ("tensor(float)", "tensor(uint8)")
+        if not fits or any(isinstance(n, int) and n not in (-1, m) for n, m in zip(inputs[0].shape, (1, 3), strict=False)):
             shapes = [(i.name, i.type, i.shape) for i in inputs]
             raise ModelError(f"{path}: inputs {shapes}; a detector takes one image (1, 3, height, width)")
         self._path = path
@@ -54,14 +55,20 @@ class OnnxFinder:
         self._fixed = tuple(n if isinstance(n, int) and n > 0 else 0 for n in inputs[0].shape[2:])
 
     def find(self, image: Image, *, region_px: tuple[int, int, int, int] | None = None) -> list[PlateCandidate]:
-        """Candidates in source pixels. Raises ModelError where the outputs are not of the configured family."""
+        """Candidates in source pixels. Raises ModelError for a failed run and for outputs of another family."""
         x0, y0, x1, y1 = region_px or (0, 0, image.shape[1], image.shape[0])
         crop = image[y0:y1, x0:x1]
         width, height = self._input_size(crop.shape[1], crop.shape[0])
         stretch = self._settings.onnx_format == "detr"
         canvas, scale_x, scale_y = place(crop, width, height, stretch=stretch)
         names = [o.name for o in self._session.get_outputs()]
-        outputs = dict(zip(names, self._session.run(names, {self._input: self._feed(canvas)}), strict=True))
+        try:
+            outputs = dict(zip(names, self._session.run(names, {self._input: self._feed(canvas)}), strict=True))
+        except LOAD_ERRORS as error:
+            raise ModelError(
+                f"{self._path}: the detector failed on a picture of {width}x{height} px: {str(error).strip().splitlines()[0]}; "
+                "check detector.onnx_width_px and detector.onnx_height_px"
+            ) from error
         try:
             found = self._decode(outputs, width, height)
         except ValueError as error:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from tmde_edge.vision.detect.contour import without_doubles
 from tmde_edge.vision.protocols import PlateCandidate
-from tmde_edge.vision.rectify import order_corners
+from tmde_edge.vision.rectify import is_convex, order_corners
 
 Array = NDArray[np.float64]
 SSD_STEPS_PX = (8, 16, 32)
@@ -41,7 +41,7 @@ def decode_yolo_corners(output: NDArray[np.float32], classes: int, plate_class: 
     if points not in (8, 12):
         raise ValueError(f"output {output.shape} has {points} key point numbers after {classes} classes, not 8 or 12")
     corners = table[:, 4 + classes :].reshape(len(table), 4, points // 4)[:, :, :2]
-    return _candidates(corners, _column(table, 4 + plate_class), score_min)
+    return _candidates(corners, _column(table[:, : 4 + classes], 4 + plate_class), score_min)
 
 
 def decode_ssd_corners(
@@ -84,7 +84,7 @@ def decode_detr(
     raw = np.asarray(logits[0], np.float64)
     if no_object:
         odds = np.exp(raw - raw.max(axis=1, keepdims=True))
-        scores = _column(odds / odds.sum(axis=1, keepdims=True), plate_class)
+        scores = _column((odds / odds.sum(axis=1, keepdims=True))[:, :-1], plate_class)
     else:
         scores = 1 / (1 + np.exp(-_column(raw, plate_class)))
     size = np.array([width_px, height_px, width_px, height_px], np.float64)
@@ -128,9 +128,20 @@ def _candidates(corners: Array, scores: Array, score_min: float) -> list[PlateCa
     for i in np.argsort(-scores)[:KEEP]:
         if scores[i] < score_min:
             break
-        try:
-            ordered = order_corners(corners[i] - 0.5)
-        except ValueError:  # four points that are no quadrilateral are no plate
-            continue
+        ordered = corners[i] - 0.5
+        if not _is_ordered(ordered):
+            try:
+                ordered = order_corners(ordered)
+            except ValueError:  # four points that are no quadrilateral are no plate
+                continue
         found.append(PlateCandidate(corners_px=ordered, score=float(min(scores[i], 1.0))))
     return without_doubles(found)
+
+
+def _is_ordered(corners: Array) -> bool:
+    """Whether (4, 2) are TL, TR, BR, BL as they come: clockwise on the screen, reading to the right within 45 degrees.
+
+    What looks taller than wide (two rows in yaw, a motorcycle's plate) shows its order in nothing but the network's own.
+    """
+    across, down = corners[1] + corners[2] - corners[0] - corners[3]
+    return is_convex(corners) and bool(across > abs(down))

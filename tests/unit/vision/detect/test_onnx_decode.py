@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from tmde_edge.vision.detect.onnx_decode import (
     decode_detr,
@@ -54,6 +56,53 @@ def test_yolo_key_points_in_any_order(per_point):
     _only(decode_yolo_corners(out, 1, 0, 0.4), 0.95)
     with pytest.raises(ValueError, match="key point"):
         decode_yolo_corners(out, 2, 0, 0.4)
+
+
+@pytest.mark.parametrize("size", [(30.0, 40.0), (36.0, 36.0), (80.0, 20.0)])
+def test_a_box_taller_than_wide_is_not_turned(size):
+    out = np.zeros((1, 5, 400), np.float32)
+    out[0, :, 0] = 100, 60, *size, 0.9
+    (found,) = decode_yolo(out, 0, 0.3)
+    w, h = size
+    corners = np.array([[-w, -h], [w, -h], [w, h], [-w, h]]) / 2 + (100, 60) - 0.5
+    assert found.corners_px == pytest.approx(corners)
+
+
+def _parallelogram(aspect, width, roll, shear):
+    """A plate's corners TL, TR, BR, BL, its top and bottom sheared as by yaw."""
+    u, v = np.array([width, width * shear]), np.array([0.0, width / aspect])
+    c, s = np.cos(roll), np.sin(roll)
+    return np.array([-u - v, u - v, u + v, v - u]) / 2 @ np.array([[c, s], [-s, c]]) + (400, 300)
+
+
+def _key_points(corners):
+    out = np.zeros((1, 13, 400), np.float32)
+    out[0, 4, 9], out[0, 5:, 9] = 0.95, (corners + 0.5).ravel()
+    (found,) = decode_yolo_corners(out, 1, 0, 0.4)
+    return found.corners_px
+
+
+@given(aspect=st.floats(0.3, 5.0), width=st.floats(8, 300), roll=st.floats(-0.5, 0.5), shear=st.floats(-0.2, 0.2))
+def test_key_points_in_order_stay_in_order_whatever_the_shape(aspect, width, roll, shear):
+    true = _parallelogram(aspect, width, roll, shear)
+    assert _key_points(true) == pytest.approx(true, abs=1e-3)
+
+
+@given(order=st.permutations([0, 1, 2, 3]), aspect=st.floats(1.5, 5.0), roll=st.floats(-0.5, 0.5), shear=st.floats(-0.2, 0.2))
+def test_key_points_of_a_wide_plate_are_put_in_order(order, aspect, roll, shear):
+    true = _parallelogram(aspect, 100, roll, shear)
+    assert _key_points(true[list(order)]) == pytest.approx(true, abs=1e-3)
+
+
+def test_a_class_beyond_the_last_is_no_class():
+    """What follows the classes are key points (yolo-corners), or the class that means none (detr): neither is a score."""
+    out = np.zeros((1, 13, 400), np.float32)
+    out[0, :4, 0], out[0, 5:, 0] = CENTRE, CORNERS.ravel()
+    with pytest.raises(ValueError, match="onnx_class"):
+        decode_yolo_corners(out, 1, 1, 0.3)
+    outputs = {"pred_boxes": np.full((1, 9, 4), 0.5, np.float32), "logits": np.zeros((1, 9, 2), np.float32)}
+    with pytest.raises(ValueError, match="onnx_class"):
+        decode_detr(outputs, 320, 160, 1, 0.4, no_object=True)
 
 
 def test_ssd_corners_against_its_priors():
