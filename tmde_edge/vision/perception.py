@@ -189,7 +189,7 @@ class Perception:
             view, track.washed = view_of(look, reading.corners_px), is_washed_out(look)
             if track.washed:  # what glare eats and gives back again looks like growth
                 track.anchor = None
-            plate = credible(reading, self._segmenter.platehood_min) and not track.looks.contradicted(view)
+            plate = self._is_plate(reading) and not track.looks.contradicted(view)
             if plate and (i in matched or settled[i]):
                 source: Literal["detector", "flow"] = "detector"
                 if track.washed and steps[i] is not None:  # it is there; where exactly, flow knows better
@@ -213,7 +213,7 @@ class Perception:
                 track.carry(carried, step_ns, self.shaken_px)
                 plates += self._report(track, carried, wanted[i].score, "flow", image)
         for candidate, reading in zip(fresh, readings[len(tracks) :], strict=True):
-            if credible(reading, self._segmenter.platehood_min) and is_convex(reading.corners_px):
+            if self._is_plate(reading):
                 pale = is_washed_out(small_look(image, reading.corners_px))
                 reading = washed(reading) if pale else reading
                 track = Track(corners_px=reading.corners_px, score=joint_score(candidate, reading), seen_ns=t_ns, washed=pale)
@@ -225,6 +225,10 @@ class Perception:
                 self._confirm(track, image, candidate, reading)
                 plates += self._report(track, reading, track.score, "detector", image)
         return tuple(plates)
+
+    def _is_plate(self, reading: PlateReading) -> bool:
+        """Whether a reading may be one of a plate: not denied by the reader, and of an outline that a plate can have."""
+        return credible(reading, self._segmenter.platehood_min) and is_convex(reading.corners_px)
 
     def _confirm(self, track: Track, image: Image, candidate: PlateCandidate, reading: PlateReading) -> None:
         """Gives an identity to what is sure, or was seen often enough and looks like a plate from closer up too.

@@ -49,7 +49,7 @@ class StillLook:
             fresh = [c for c in candidates if all(box_iou(c.corners_px, k.corners_px) <= SAME_STILL_IOU for k, _, _ in found)]
             pairs = self._read_twice(image, fresh[: self._detector.max_plates])
             done("read")
-            judged = [(c, r, self.belief(image, c, r)) for c, r in pairs]
+            judged = [(c, r, self.belief(image, c, r)) for c, r in pairs if is_convex(r.corners_px)]
             found += [f for f in judged if f[2] >= self._detector.still_belief_min]
             done("detect")
             if any(self._sure(c, r) for c, r, _ in found):
@@ -94,7 +94,7 @@ class StillLook:
         if reading.platehood is None:
             doubted = candidate.score < self._detector.score_min and self._search.closer(image, reading.corners_px) is not None
             return 0.0 if doubted else 1.0
-        if reading.platehood < self._segmenter.platehood_min or not is_convex(reading.corners_px):
+        if reading.platehood < self._segmenter.platehood_min:
             return 0.0
         if candidate.score >= SURE_SCORE and reading.platehood >= SURE_PLATEHOOD:
             return 1.0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -13,6 +13,7 @@ from tmde_edge.messages import Frame, Mode
 from tmde_edge.vision.detect.contour import ContourFinder
 from tmde_edge.vision.perception import Perception
 from tmde_edge.vision.protocols import PlateCandidate, PlateReading
+from tmde_edge.vision.rectify import is_convex
 from tmde_edge.vision.search import PlainSearch
 from tmde_edge.vision.segment.paper import PaperReader
 from tmde_edge.vision.settings import DetectorSettings, FlowSettings, SegmenterSettings
@@ -326,6 +327,27 @@ def test_a_reader_that_sees_no_plate_there_overrules_the_finder():
     p = _perception(ScriptedSearch([_candidate()]), reader)
     assert p.see_still(_frame(0)).status == "no_plate"
     assert all(p.see(_frame(i)).status == "no_plate" for i in range(5))
+
+
+def test_crossed_corners_of_a_known_plate_are_never_reported():
+    class Crossing(EchoReader):
+        crossed = False
+
+        def read(self, image, candidates):
+            return [replace(r, corners_px=r.corners_px[[1, 0, 2, 3] if self.crossed else [0, 1, 2, 3]])
+                    for r in super().read(image, candidates)]
+
+    reader = Crossing()
+    reader.platehood = 0.99
+    p = _perception(ScriptedSearch([_candidate()]), reader)
+    before = [p.see(_frame(i)) for i in range(6)]
+    reader.crossed = True
+    during = [p.see(_frame(i)) for i in range(6, 10)]
+    reader.crossed = False
+    after = p.see(_frame(10))
+    assert all(is_convex(np.array(pl.corners_px)) for s in (*before, *during, after) for pl in s.plates)
+    assert [[pl.source for pl in s.plates] for s in during] == [["flow"]] * 4
+    assert [(pl.track_id, pl.source) for pl in after.plates] == [(1, "detector")]
 
 
 def test_time_that_steps_back_ends_all_tracks():

@@ -64,6 +64,20 @@ def _plates(*, score=0.65, first=0.99, there=0.99, closer=0.85, shift=6.0):
     return look.look(IMAGE, lambda stage: None), search
 
 
+@pytest.mark.parametrize("platehood", [None, 0.99])
+def test_crossed_corners_are_never_reported(platehood):
+    """However little is asked for, and whether the reader has an opinion (the paper's has none) or not."""
+
+    class Crossing:
+        def read(self, image, candidates):
+            return [PlateReading(corners_px=CORNERS[[1, 0, 2, 3]], corners_sigma_px=0.2, refined=False, characters=(),
+                                 platehood=platehood) for _ in candidates]
+
+    search = Search(PlateCandidate(corners_px=CORNERS, score=0.95), None)
+    look = StillLook(search, Crossing(), DetectorSettings(still_belief_min=0.0), SegmenterSettings())
+    assert look.look(IMAGE, lambda stage: None) == []
+
+
 @given(opinions, opinions, opinions, st.floats(0.0, 0.5))
 def test_belief_rises_with_every_opinion_and_stays_between_0_and_1(score, platehood, closer, more):
     base = belief(score, platehood, closer)
