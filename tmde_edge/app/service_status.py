@@ -18,7 +18,7 @@ from tmde_edge.app.teller import Teller
 from tmde_edge.config import Config
 
 Json = dict[str, Any]
-_SEVERE = {"blind", "camera_lost", "detector_lost"}  # nothing can be warned of
+_SEVERE = {"blind", "camera_lost"}  # nothing can be warned of
 
 
 class DepthState(Protocol):

@@ -25,12 +25,12 @@ LEVELS = {"none": 0, "caution": 1, "warning": 2}
 REASONS = {"": 0, "ttc": 1, "deceleration": 2, "headway": 3, "parking": 4}
 SOURCES = {"plate": 1, "vehicle": 2, "flow": 3, "depth": 4}
 STATES = {"init": 0, "ready": 1, "degraded": 2, "fault": 3}
-FAULT_BITS = {  # of STATUS; any other name sets bit 15
+FAULT_BITS = {  # of STATUS; any other name sets bit 15, bit 7 (Status_DetectorLost) is reserved
     "blind": 0, "can_lost": 1, "uncalibrated": 2, "overload": 3, "camera_lost": 4, "calibration": 5,
-    "depth_lost": 6, "detector_lost": 7, "can_tx": 8, "hot": 9, "disk": 10,
+    "depth_lost": 6, "can_tx": 8, "hot": 9, "disk": 10,
 }  # fmt: skip
 _OTHER_FAULT = 15
-_SEVERE = frozenset({"blind", "camera_lost", "detector_lost"})  # nothing can be warned of
+_SEVERE = frozenset({"blind", "camera_lost"})  # nothing can be warned of
 
 
 @dataclass(frozen=True, slots=True)
