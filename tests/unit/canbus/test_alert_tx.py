@@ -85,6 +85,9 @@ def test_code_and_description_say_the_same() -> None:
     for fault, bit in FAULT_BITS.items():
         name = "Status_" + {"can_tx": "CanTx"}.get(fault, "".join(w.title() for w in fault.split("_")))
         assert signals[name].start == 16 + bit
+    described = {s.name for s in signals.values() if 16 <= s.start < 32 and s.length == 1 and s.name.startswith("Status_")}
+    given = {next(n for n in described if signals[n].start == 16 + bit) for bit in FAULT_BITS.values()}
+    assert described - given == {"Status_DetectorLost", "Status_Other"}  # reserved, and every fault without a bit
 
 
 def test_a_warning_as_it_is_decoded() -> None:

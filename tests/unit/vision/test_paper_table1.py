@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from tmde_edge.calibration.plate import PlateCalibration, PlatePose
+from tmde_edge.calibration.quality import check_calibration, fatal
 from tmde_edge.ranging.cues import Cue
 
 HEIGHTS_PX = np.array([186.5, 177.1, 181.9, 182.3, 179.9, 186.9, 174.7])
@@ -43,6 +47,12 @@ def test_sigma_of_one_range_is_the_papers():
     assert cue.sigma_m == pytest.approx(cue.distance_m / 180.0 * 2.0)
 
 
-def test_the_focal_length_of_the_paper_is_none_of_a_camera():
-    """83.92 px would see 1280 px of image through 165 degrees; a lens of 65 degrees has 1000 px."""
-    assert 2 * np.degrees(np.arctan(640 / FOCAL_PX)) == pytest.approx(165, abs=1)
+def test_a_calibration_with_the_papers_focal_length_is_refused():
+    """At 1280 px it would be a field of view of 165 degrees (docs/paper.md)."""
+    nothing_known = PlatePose(pitch_rad=None, pitch_sigma_rad=None, roll_rad=0.0, roll_sigma_rad=1.0, lens_above_plate_m=None)
+    said = PlateCalibration(
+        width_px=1280, height_px=720, f_px=FOCAL_PX, sigma=0.005, captures=(), residuals=(), offset_m=None, offset_sigma_m=None,
+        trend_m=0.0, trend_sigma_m=1.0, pose=nothing_known,
+    )
+    assert "focal_range" in {p.kind for p in fatal(check_calibration(said))}
+    assert "focal_range" not in {p.kind for p in check_calibration(replace(said, f_px=1000.0))}
