@@ -31,7 +31,7 @@ from tmde_edge.ranging.ranger import Ranger
 COLUMNS = (
     "config", "recording", "frame", "image", "t_s", "true_m", "true_width_px", "found", "iou", "corner_error", "characters",
     "count_exact", "char_height_error", "standard", "distance_m", "sigma_m", "ranged", "range_error", "range_sigma",
-    "false_plates", "lead_true_m", "lead_reported", "lead_m", "lead_error", "lead_sigma", "error",
+    "false_plates", "lead_true_m", "lead_reported", "lead_false", "lead_m", "lead_error", "lead_sigma", "error",
 )
 _VIDEOS = (".mp4", ".mkv", ".avi", ".mov", ".webm", ".mjpeg")
 _STILLS_A_JOB = 40

@@ -83,6 +83,7 @@ METRICS: tuple[Metric, ...] = (
     Metric(stage="range", name="ranged", how="mean", better=1, values=_key("ranged")),
     *_errors("range"),
     Metric(stage="lead", name="reported", how="mean", better=1, values=_key("lead_reported")),
+    Metric(stage="lead", name="false a frame", how="mean", better=-1, values=_key("lead_false")),
     *_errors("lead"),
 )
 

@@ -38,6 +38,7 @@ class TrueFrame:
     plates: list[TruePlate] = field(default_factory=list)
     ignored: list[TruePlate] = field(default_factory=list)  # hidden or tiny: finding them is neither right nor wrong
     lead_m: float | None = None
+    no_lead: bool = False  # known to have none; without a lead_m and without this nobody knows
 
 
 def read_rows(path: Path) -> list[dict[str, str]]:
@@ -60,6 +61,7 @@ def recording_truth(folder: Path) -> dict[int, TrueFrame]:
         frame = frames.setdefault(_int(row.get("frame", ""), path, i) if row.get("frame") else i, TrueFrame())
         distance_m = _float(row.get("distance_m") or row.get("lidar_z_plate_m") or "", path, i)
         frame.lead_m = distance_m
+        frame.no_lead = distance_m is None and row.get("in_path", "").strip() == "0"
     everyone = folder / "vehicles.csv"
     if everyone.exists():
         path, rows = everyone, read_rows(everyone)
@@ -134,7 +136,7 @@ def rows_of(record: Record, truth: TrueFrame, base: Row, has_images: bool = True
     """
     rows: list[Row] = []
     if "error" in record:
-        rows = [{**base, "found": 0.0, "ranged": 0.0, "error": record["error"]} for _ in truth.plates]
+        rows = [_missed(plate, {**base, "error": record["error"]}, has_images) for plate in truth.plates]
         rows = rows or [{**base, "error": record["error"]}]
         if truth.lead_m is not None:
             rows[0] |= {"lead_true_m": truth.lead_m, "lead_reported": 0.0}
@@ -143,8 +145,7 @@ def rows_of(record: Record, truth: TrueFrame, base: Row, has_images: bool = True
     boxes = [_box(p["corners"]) for p in found]
     used: set[int] = set()
     for plate in truth.plates:
-        row: Row = dict(base)
-        row.update(true_m=plate.distance_m, true_width_px=plate.box[2] - plate.box[0])
+        row = _missed(plate, base, has_images)
         overlaps = [(_iou(b, plate.box), k) for k, b in enumerate(boxes) if k not in used]
         best, k = max(overlaps, default=(0.0, -1))
         if has_images:
@@ -152,8 +153,6 @@ def rows_of(record: Record, truth: TrueFrame, base: Row, has_images: bool = True
         if best > MATCH_IOU:
             used.add(k)
             row.update(_against(found[k], plate))
-        elif plate.distance_m is not None:
-            row["ranged"] = 0.0
         rows.append(row)
     rest = [b for k, b in enumerate(boxes) if k not in used]
     false = [b for b in rest if not any(_iou(b, p.box) > 0.1 for p in (*truth.plates, *truth.ignored))]
@@ -170,7 +169,19 @@ def rows_of(record: Record, truth: TrueFrame, base: Row, has_images: bool = True
             rows[0]["lead_m"] = measured
             rows[0]["lead_error"] = measured / truth.lead_m - 1
             rows[0]["lead_sigma"] = lead["sigma_m"] / truth.lead_m
+    elif truth.no_lead:
+        rows[0]["lead_false"] = float(lead is not None)
     return rows
+
+
+def _missed(plate: TruePlate, base: Row, has_images: bool) -> Row:
+    """The row of a true plate of which nothing was seen; ranging is asked for only where the truth knows the distance."""
+    row: Row = {**base, "true_m": plate.distance_m, "true_width_px": plate.box[2] - plate.box[0]}
+    if has_images:
+        row["found"] = 0.0
+    if plate.distance_m:
+        row["ranged"] = 0.0
+    return row
 
 
 def _against(plate: dict[str, Any], true: TruePlate) -> Row:

@@ -43,7 +43,8 @@ def simulate_stills(
             for k in range(count):
                 name = f"{k:04}.jpg"
                 image, row = _still(standard, (seed, k), camera)
-                cv2.imwrite(str(out / name), image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+                if not cv2.imwrite(str(out / name), image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]):
+                    raise UsageError(f"{out / name}: cannot be written; is the disk full, or the folder not yours?")
                 rows.writerow([name, *row])
                 if progress is not None:
                     progress(k + 1, count)

@@ -14,6 +14,7 @@ import pytest
 from tmde_edge.app import evaluate as ev
 from tmde_edge.app.evaluate_metrics import compare, parts, scores
 from tmde_edge.app.evaluate_truth import TrueFrame, TruePlate, recording_truth, rows_of, still_labels
+from tmde_edge.app.simulate_stills import simulate_stills
 from tmde_edge.cli import main
 from tmde_edge.errors import InputDataError, InputMissingError, UsageError
 from tmde_edge.simulation.camera import hd_camera
@@ -122,6 +123,26 @@ def test_rows_count_misses_false_plates_and_errors() -> None:
         assert [r["lead_reported"] for r in unread if "lead_reported" in r] == [0.0]
 
 
+def test_a_lead_where_the_truth_has_none_is_counted(tmp_path: Path) -> None:
+    (tmp_path / "truth.csv").write_text("frame,distance_m,in_path\n0,,0\n1,,0\n2,,\n3,20,1\n")
+    truth = recording_truth(tmp_path)
+    assert [truth[k].no_lead for k in range(4)] == [True, True, False, False]  # an empty cell alone says nothing
+    seen = {"plates": [], "lead": {"distance_m": 7.0, "sigma_m": 0.1}}
+    rows = [rows_of(seen if k in (0, 2, 3) else record(), truth[k], {"recording": "r", "frame": k})[0] for k in range(4)]
+    assert [r.get("lead_false") for r in rows] == [1.0, 0.0, None, None]
+    (false,) = [s for s in scores(rows) if (s.metric.stage, s.metric.name) == ("lead", "false a frame")]
+    assert (false.value, false.count, false.metric.better) == (0.5, 2, -1)
+
+
+def test_an_unreadable_image_is_a_miss_of_its_own_plates_only() -> None:
+    known, unknown = TruePlate(box=(0, 0, 100, 20), distance_m=9.0), TruePlate(box=(200, 0, 240, 10))
+    first, second = rows_of({"error": "x"}, TrueFrame(plates=[known, unknown]), {"recording": "r", "frame": 0})
+    assert (first["found"], first["ranged"], second["found"]) == (0.0, 0.0, 0.0)
+    assert "ranged" not in second  # nobody knows its distance: no range was asked for
+    assert [name for name, _ in parts([first, second], "width")] == ["30 to 45 px", "90 to 150 px"]
+    assert [name for name, _ in parts([first], "distance")] == ["5 to 10 m"]
+
+
 def test_a_bad_cell_is_told_of_the_file_it_stands_in(tmp_path: Path) -> None:
     (tmp_path / "truth.csv").write_text("frame,distance_m\n0,20\n")
     (tmp_path / "vehicles.csv").write_text("frame,x,y,w,h\n0,1,2,3,4\n0,1,2,wide,4\n")
@@ -179,6 +200,12 @@ def test_rendered_stills_are_a_set_to_evaluate(tmp_path: Path, capsys: pytest.Ca
     assert {m["metric"]: m["count"] for m in json.loads(capsys.readouterr().out)["configs"]["as recorded"]}["recall"] == 2
     assert main(["simulate", "--stills", "2", "--plate", "atlantis", "--out", str(folder), "-q"]) == 2
     assert main(["simulate", "--stills", "2", "approach", "--out", str(folder), "-q"]) == 2
+
+
+def test_a_still_that_cannot_be_written_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cv2, "imwrite", lambda *_: False)  # what OpenCV says of a full disk
+    with pytest.raises(UsageError, match=r"0000\.jpg: cannot be written"):
+        simulate_stills(1, tmp_path / "set", standard="us-mi")
 
 
 def test_a_short_drive_and_its_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
