@@ -138,6 +138,14 @@ def test_wrong_usage_is_2(capsys: pytest.CaptureFixture[str], street: Path) -> N
     assert run(capsys, "--no-such-option")[0] == 2
     assert run(capsys, "--dry-run", str(street), "measure", "x.png")[0] == 2
     assert run(capsys, "simulate")[0] == 2
+    for wrong in (["--seed", "-1"], ["--check", "--seeds", "0"], ["--check", "--seeds", "-2"], ["--seed", "one"]):
+        code, _, err = run(capsys, "simulate", "approach", "--out", str(street / "no"), *wrong)
+        assert code == 2
+        assert f"{wrong[-1]!r} is not a whole number from" in err
+    assert run(capsys, "evaluate", str(street), "--seed", "-1")[0] == 2
+    for how in ([], ["--no-pictures"], ["--no-video"]):
+        code, _, err = run(capsys, "simulate", "parking", "--check", "--out", str(street / "notes.txt" / "x"), *how)
+        assert (code, "cannot be" in err) == (2, True)
 
 
 def test_dry_run_writes_only_json_lines_to_stdout(capsys: pytest.CaptureFixture[str], street: Path) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 
 from tmde_edge.adapters.depth.recorded import write_track
 from tmde_edge.adapters.video_out import VideoWriter
-from tmde_edge.errors import UsageError
+from tmde_edge.errors import UsageError, writing
 from tmde_edge.simulation.depth import MODEL, DepthTrack
 from tmde_edge.simulation.drive import FrameTruth, VehicleTruth, frame_truth, picture
 from tmde_edge.simulation.scenario import Scenario
@@ -104,11 +104,12 @@ def simulate(
                     progress(frame + 1, count)
     finally:
         cv2.setNumThreads(threads)
-    (out / "can.log").write_text("".join(can_lines(scenario)), encoding="ascii")
-    write_truth(out, scenario, truth)
     size_px = scenario.camera.width_px, scenario.camera.height_px
-    write_track(out / "depth.npz", depth.t_ns, np.array(depth.grids), size_px, MODEL)
-    (out / "config.toml").write_text(config_text(scenario), encoding="utf-8")
+    with writing(out):
+        (out / "can.log").write_text("".join(can_lines(scenario)), encoding="ascii")
+        write_truth(out, scenario, truth)
+        write_track(out / "depth.npz", depth.t_ns, np.array(depth.grids), size_px, MODEL)
+        (out / "config.toml").write_text(config_text(scenario), encoding="utf-8")
     return Made(scenario=scenario, folder=out, frame_count=len(truth), truth=tuple(truth))
 
 

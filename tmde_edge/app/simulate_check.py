@@ -19,7 +19,7 @@ from tmde_edge.app.dry_run import dry_run
 from tmde_edge.app.records import Record, frame_record
 from tmde_edge.app.simulate import Made, Progress, can_frames, config_text, list_scenarios, simulate
 from tmde_edge.app.wiring import build_estimation, build_eyes
-from tmde_edge.errors import InputMissingError
+from tmde_edge.errors import InputMissingError, writing
 from tmde_edge.messages import CanFrame, Frame, FrameResult, Tick
 from tmde_edge.simulation.check import check
 from tmde_edge.simulation.drive import frame_truth, picture
@@ -45,13 +45,13 @@ class Outcome:
 
 
 def check_scenarios(
-    folder: Path, *, names: Sequence[str] = (), seeds: Sequence[int] = (0,), overrides: Sequence[str] = (),
-    keep: bool = False, progress: Progress | None = None,
+    folder: Path, *, names: Sequence[str] = (), seeds: Sequence[int] = (0,), plate: str | None = None,
+    overrides: Sequence[str] = (), keep: bool = False, progress: Progress | None = None,
 ) -> Iterator[Outcome]:
     """Renders into folder/NAME-SEED and judges, one by one; names empty: all. Without keep only what failed stays."""
 
     def make(name: str, seed: int) -> Made:
-        return simulate(name, folder / f"{name}-{seed}", seed=seed, progress=progress)
+        return simulate(name, folder / f"{name}-{seed}", seed=seed, plate=plate, progress=progress)
 
     def judged(made: Made) -> Outcome:
         outcome = judge(made, list(desk_records(made, overrides)))
@@ -63,7 +63,8 @@ def check_scenarios(
 
 
 def check_without_video(
-    folder: Path, *, names: Sequence[str] = (), seeds: Sequence[int] = (0,), overrides: Sequence[str] = ()
+    folder: Path, *, names: Sequence[str] = (), seeds: Sequence[int] = (0,), plate: str | None = None,
+    overrides: Sequence[str] = (),
 ) -> Iterator[Outcome]:
     """The same judgement on the rendered pictures themselves, as a camera would give them: no H.264 between, half the work.
 
@@ -75,11 +76,12 @@ def check_without_video(
         records = list(rendered_records(made, overrides))
         return judge(replace(made, frame_count=len(records), truth=made.truth[: len(records)]), records)
 
-    return _each(names, seeds, _build, judged)
+    return _each(names, seeds, lambda name, seed: build(name, seed=seed, plate=plate), judged)
 
 
 def check_without_pictures(
-    folder: Path, *, names: Sequence[str] = (), seeds: Sequence[int] = (0,), overrides: Sequence[str] = ()
+    folder: Path, *, names: Sequence[str] = (), seeds: Sequence[int] = (0,), plate: str | None = None,
+    overrides: Sequence[str] = (),
 ) -> Iterator[Outcome]:
     """The same judgement on sightings drawn from the truth (simulation/sightings.py): tracking and warnings, not perception."""
 
@@ -87,33 +89,35 @@ def check_without_pictures(
         made = _without_pictures(scenario, folder)
         return judge(made, list(sighting_records(made, overrides)))
 
-    return _each(names, seeds, _build, judged)
+    return _each(names, seeds, lambda name, seed: build(name, seed=seed, plate=plate), judged)
 
 
 def _each(
     names: Sequence[str], seeds: Sequence[int], make: Callable[[str, int], T], judged: Callable[[T], Outcome]
 ) -> Iterator[Outcome]:
-    """Every scenario (names empty: all) with every seed; one that needs recordings which are not here is skipped."""
+    """Every scenario (names empty: all) with every seed. Of all, one that needs recordings which are not here is skipped.
+
+    Raises InputMissingError where one that was named needs them.
+    """
     for name in names or [name for name, _ in list_scenarios()]:
         for seed in seeds:
             try:
                 made = make(name, seed)
             except InputMissingError as error:
+                if names:
+                    raise
                 yield Outcome(name=name, seed=seed, faults=(), skipped=str(error))
                 continue
             yield judged(made)
-
-
-def _build(name: str, seed: int) -> Scenario:
-    return build(name, seed=seed)
 
 
 def _without_pictures(scenario: Scenario, folder: Path) -> Made:
     """The scenario's truth, and its configuration in the folder."""
     truth = tuple(frame_truth(scenario, frame) for frame in range(scenario.frame_count))
     made = Made(scenario=scenario, folder=folder, frame_count=len(truth), truth=truth)
-    folder.mkdir(parents=True, exist_ok=True)
-    made.config.write_text(config_text(scenario), encoding="utf-8")
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        made.config.write_text(config_text(scenario), encoding="utf-8")
     return made
 
 

@@ -59,6 +59,21 @@ def number(text: str) -> float:
     return value
 
 
+def whole_from(least: int) -> Callable[[str], int]:
+    """The type of options that are whole numbers, `least` or more."""
+
+    def read(text: str) -> int:
+        try:
+            value = int(text)
+        except ValueError:
+            value = least - 1
+        if value < least:
+            raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from {least} on")
+        return value
+
+    return read
+
+
 def output_options(parser: argparse._ActionsContainer, *, top: bool = False) -> None:
     """--jsonl."""
     default: Any = None if top else argparse.SUPPRESS

@@ -19,6 +19,7 @@ from tmde_edge.cli.common import (
     progress,
     progress_bar,
     say,
+    whole_from,
 )
 from tmde_edge.errors import CheckFailedError, InputDataError, InputMissingError, UsageError
 
@@ -52,7 +53,7 @@ def add_simulate(verbs: Verbs) -> None:
     sub.add_argument("--stills", type=int, metavar="N", help="instead: N photos of one plate each, with labels.csv for evaluate")
     sub.add_argument("--list", action="store_true", help="the scenarios there are")
     sub.add_argument("--out", metavar="FOLDER", type=Path)
-    sub.add_argument("--seed", type=int, default=0)
+    sub.add_argument("--seed", type=whole_from(0), default=0)
     sub.add_argument("--plate", metavar="STANDARD", help="another plate standard than the scenario's own (--stills: de-mittel)")
     sub.add_argument("--all", action="store_true", help="with --check: every scenario")
     sub.add_argument("--check", action="store_true", help="run the desk on it and judge the alerts; exit 1 on a miss")
@@ -62,7 +63,9 @@ def add_simulate(verbs: Verbs) -> None:
     sub.add_argument(
         "--no-video", action="store_true", help="with --check: the rendered pictures themselves, no H.264 between; half the work"
     )
-    sub.add_argument("--seeds", type=int, default=1, metavar="N", help="with --check: so many seeds, from --seed on")
+    sub.add_argument(
+        "--seeds", type=whole_from(1), default=1, metavar="N", help="with --check: so many seeds, from --seed on"
+    )
 
 
 def add_replay(verbs: Verbs) -> None:
@@ -181,10 +184,14 @@ def _simulate_check(args: argparse.Namespace) -> int:
     with tempfile.TemporaryDirectory(prefix="tmde-simulate-") as scratch:
         folder = args.out if args.out is not None else Path(scratch)
         run = check_without_pictures if args.no_pictures else check_without_video if args.no_video else check_scenarios
-        for o in run(folder, names=names, seeds=range(args.seed, args.seed + args.seeds), overrides=args.overrides):
+        seeds = range(args.seed, args.seed + args.seeds)
+        for o in run(folder, names=names, seeds=seeds, plate=args.plate, overrides=args.overrides):
             failed += bool(o.faults)
             verdict = f"skipped: {o.skipped}" if o.skipped else "FAILED: " + "; ".join(o.faults) if o.faults else "ok"
-            warned = f"first warning at TTC {o.first_warning_ttc_s:.2f} s" if o.first_warning_ttc_s is not None else "no warning"
+            warned = "no warning"
+            if o.first_warning_s is not None:
+                ttc = "no lead closing" if o.first_warning_ttc_s is None else f"TTC {o.first_warning_ttc_s:.2f} s"
+                warned = f"first warning at {o.first_warning_s:.2f} s, {ttc}"
             error = f"median |error| {100 * o.median_error:.2f} %" if o.median_error is not None else "never ranged"
             print(f"{o.name:20} seed {o.seed}  {verdict}  ({warned}, {error})", flush=True)
     return 1 if failed else 0

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from tmde_edge.cli.common import Verbs, config_of, progress, say
+from tmde_edge.cli.common import Verbs, config_of, progress, say, whole_from
 from tmde_edge.errors import CheckFailedError, UsageError
 
 
@@ -19,7 +19,7 @@ def add_evaluate(verbs: Verbs) -> None:
     sub.add_argument("--out", type=Path, metavar="FILE", help="every row: .csv, or .parquet where pyarrow is there")
     sub.add_argument("--json", action="store_true", help="the numbers as one JSON object")
     sub.add_argument("--by", choices=["width", "distance"], default="", help="a table for each range of plate width or distance")
-    sub.add_argument("--seed", type=int, default=0, help="of the bootstrap")
+    sub.add_argument("--seed", type=whole_from(0), default=0, help="of the bootstrap")
 
 
 def add_bench(verbs: Verbs) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,6 +14,7 @@ import pytest
 
 from tmde_edge.app import simulate_check
 from tmde_edge.app.simulate_check import check_without_pictures, check_without_video
+from tmde_edge.cli import main
 from tmde_edge.simulation.drive import frame_truth
 from tmde_edge.simulation.scenarios import build
 from tmde_edge.simulation.sightings import Eyesight, sightings
@@ -52,7 +54,7 @@ def test_a_late_warning_is_seen_by_the_judge(tmp_path: Path) -> None:
 
 def test_rendered_pictures_are_judged_without_a_video(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     short = replace(build("parking"), duration_s=0.4)
-    monkeypatch.setattr(simulate_check, "build", lambda name, seed: short)
+    monkeypatch.setattr(simulate_check, "build", lambda name, **_: short)
     (outcome,) = check_without_video(tmp_path, names=["parking"], overrides=["runtime.threads=1"])
     assert outcome.faults == ()
     assert outcome.median_error is not None
@@ -76,3 +78,40 @@ def test_a_drive_ends_after_the_warning_where_only_that_is_judged(
     list(check_without_video(tmp_path, names=[name], overrides=["runtime.threads=1"]))
     ((made, records),) = judged
     assert len(records) == len(made.truth) == frames
+
+
+def test_the_plate_asked_for_is_the_one_judged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scenarios: list[Any] = []
+    ask = ["simulate", "parking", "--check", "--plate", "us-mi", "--out", str(tmp_path)]
+    outcome = simulate_check.Outcome(name="parking", seed=0, faults=())
+    monkeypatch.setattr(simulate_check, "judge", lambda made, records: scenarios.append(made.scenario) or outcome)
+    for records, how in (("rendered_records", "--no-video"), ("sighting_records", "--no-pictures"), ("desk_records", "-q")):
+        monkeypatch.setattr(simulate_check, records, lambda made, overrides: [])
+        if how == "-q":
+            few = partial(simulate_check.simulate, max_frames=1)
+            monkeypatch.setattr(simulate_check, "simulate", few)
+        assert main([*ask, how]) == 0
+    assert [s.expect for s in scenarios] == [("us-mi",)] * 3
+    assert main([*ask, "--no-pictures", "--plate", "atlantis"]) == 2
+
+
+def test_a_named_scenario_that_cannot_be_run_is_no_pass(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("TMDE_SHARED", str(tmp_path / "nowhere"))
+    assert main(["simulate", "real", "--check", "--no-pictures", "--out", str(tmp_path)]) == 66
+    assert "lead_gt_20hz.csv" in capsys.readouterr().err
+    monkeypatch.setattr(simulate_check, "list_scenarios", lambda: [("real", "")])
+    assert main(["simulate", "--all", "--check", "--no-pictures", "--out", str(tmp_path)]) == 0
+    assert "real                 seed 0  skipped" in capsys.readouterr().out
+
+
+def test_a_false_warning_is_told_with_its_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    false = {"alert": {"level": "warning", "reason": "ttc"}, "lead": None, "plates": []}
+    monkeypatch.setattr(
+        simulate_check, "sighting_records", lambda made, _: [{"frame": t.frame, "t": t.t_s, **false} for t in made.truth]
+    )
+    assert main(["simulate", "empty", "--check", "--no-pictures", "--out", str(tmp_path)]) == 1
+    assert "first warning at 0.00 s, no lead closing" in capsys.readouterr().out

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import errno
+from dataclasses import replace
 from pathlib import Path
 
 import av
@@ -10,8 +12,10 @@ import numpy as np
 import pytest
 
 from tmde_edge import config
-from tmde_edge.app.simulate import Made, can_lines, list_scenarios, simulate
+from tmde_edge.app import simulate as made_by
+from tmde_edge.app.simulate import YAW_ID, Made, can_frames, can_lines, list_scenarios, simulate
 from tmde_edge.errors import InputMissingError, UsageError
+from tmde_edge.simulation.drive import frame_truth
 from tmde_edge.simulation.scenarios import build
 
 
@@ -48,7 +52,10 @@ def test_truth_has_a_row_a_frame_with_the_pinhole_s_corners(made: Made) -> None:
     # seen by a camera pitched down: 520 mm at the depth along the optical axis
     assert across == pytest.approx(camera.fx_px * 0.52 / 29.98, rel=2e-3)
     assert int(row["glyph_count"]) == 7
-    assert float(row["ttc_s"]) == pytest.approx(float(row["gap_m"]) / -float(row["range_rate_mps"]), abs=1e-4)
+    for k, row in enumerate(rows):  # 7 m/s towards a standing car, the lens 1.5 m behind the own bumper
+        assert float(row["range_rate_mps"]) == pytest.approx(-7.0, abs=1e-5)
+        assert float(row["gap_m"]) == pytest.approx(28.48 - 7.0 * k / 30, abs=1e-5)
+        assert float(row["ttc_s"]) == pytest.approx((28.48 - 7.0 * k / 30) / 7.0, abs=1e-5)
 
 
 def test_same_seed_same_bytes(made: Made, tmp_path: Path) -> None:
@@ -64,6 +71,55 @@ def test_can_log_tells_the_ego_s_speed() -> None:
     speeds = [int(data[4:8], 16) * 0.01 / 3.6 for _, _, data in frames if data.startswith("0B4#")]
     truth = [scenario.ego.state(k / 50)[1] for k in range(len(speeds))]
     assert np.abs(np.array(speeds) - truth).max() < 0.03
+
+
+def test_a_left_bend_is_a_positive_yaw_rate_on_the_bus() -> None:
+    scenario = build("curve")
+    raw = [int.from_bytes(data[:2], "big", signed=True) for _, can_id, data in can_frames(scenario) if can_id == YAW_ID]
+    yaw_radps = np.radians(0.01 * np.array(raw))
+    offset = scenario.yaw_offset_radps
+    assert yaw_radps[:100].mean() == pytest.approx(offset, abs=1e-3)  # the bend begins at 25 m, after 2.4 s
+    assert yaw_radps[250:300].mean() == pytest.approx(10.5 / 70.0 + offset, abs=2e-3)
+
+
+def test_place_from_the_own_path_does_not_bend_with_the_road() -> None:
+    parked = [v for v in frame_truth(build("curve"), 60).vehicles if v.name.startswith("parked")]
+    assert len(parked) == 6
+    assert [v.path_offset_m for v in parked] == pytest.approx([3.1] * 6)
+    assert not any(v.in_path for v in parked)
+    assert abs(parked[-1].lateral_m - 3.1) > 10.0  # the road bends away to the left
+    assert parked[-1].lateral_m < 0
+    cutter = [frame_truth(build("cut-in"), f).vehicles[0] for f in (0, 150)]
+    assert [v.path_offset_m for v in cutter] == pytest.approx([-3.5, 0.0], abs=1e-9)
+    assert [v.in_path for v in cutter] == [False, True]
+    drifted = replace(build("follow"), ego_lateral=((0.0, 0.9),))
+    assert frame_truth(drifted, 0).vehicles[0].path_offset_m == pytest.approx(-0.9)
+
+
+def test_share_of_a_plate_that_is_to_be_seen() -> None:
+    def share(name: str, t_s: float, vehicle: str = "lead") -> float:
+        (truth,) = [v for v in frame_truth(build(name), round(t_s * 30)).vehicles if v.name == vehicle]
+        return truth.plate_visible
+
+    assert share("hidden", 2.9) == 1.0
+    assert share("hidden", 3.3) == 0.0  # a board before it
+    assert share("parking", 0.0) == 1.0
+    assert 0.5 < share("parking", 4.5) < 1.0  # 0.4 m away it is wider than the picture
+    assert share("no-plate", 0.0) == 0.0
+    assert share("cut-out", 0.0, "standing") == 0.0  # behind the lead
+    assert share("cut-out", 4.2, "standing") == 1.0  # uncovered
+    crest = [share("crest", t / 2) for t in range(18)]
+    assert min(crest) == 0.0  # behind the top of the hill
+    assert crest[0] == crest[-1] == 1.0
+
+
+def test_a_disk_that_is_full_is_a_usage_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(made_by, "write_truth", full)
+    with pytest.raises(UsageError, match="No space left"):
+        simulate("approach", tmp_path / "a", max_frames=1)
 
 
 @pytest.mark.parametrize(("name", "text"), list_scenarios())
