@@ -23,7 +23,7 @@ from tmde_edge.errors import InputMissingError, writing
 from tmde_edge.messages import CanFrame, Frame, FrameResult, Tick
 from tmde_edge.simulation.check import check
 from tmde_edge.simulation.drive import frame_truth, picture
-from tmde_edge.simulation.scenario import Scenario
+from tmde_edge.simulation.scenario import Expectation, Scenario
 from tmde_edge.simulation.scenarios import build
 from tmde_edge.simulation.sightings import sightings
 
@@ -74,7 +74,9 @@ def check_without_video(
     def judged(scenario: Scenario) -> Outcome:
         made = _without_pictures(scenario, folder)
         records = list(rendered_records(made, overrides))
-        return judge(replace(made, frame_count=len(records), truth=made.truth[: len(records)]), records)
+        if _settled(scenario.expectation, records):  # a run that ended for another reason is judged whole
+            made = replace(made, frame_count=len(records), truth=made.truth[: len(records)])
+        return judge(made, records)
 
     return _each(names, seeds, lambda name, seed: build(name, seed=seed, plate=plate), judged)
 
@@ -125,19 +127,24 @@ def rendered_records(made: Made, overrides: Sequence[str] = ()) -> Iterator[Reco
     """The records of a dry run on the pictures as they are rendered."""
     scenario = made.scenario
     loaded = config.load(made.config, overrides)
-    wanted = scenario.expectation
-    only_warning = wanted.warn_ttc_min_s is not None and wanted.max_relative_error is None
-    warned_s: float | None = None
     run = dry_run(
         RenderedFrames(scenario), build_eyes(loaded, time.perf_counter_ns), build_estimation(loaded, made.folder),
         camera=loaded.camera.camera(), can=_can(scenario), tick_hz=loaded.runtime.tick_hz,
     )  # fmt: skip
+    records: list[Record] = []
     for step in run:
         yield step.record
-        if warned_s is None and "error" not in step.record and step.record["alert"]["level"] == "warning":
-            warned_s = step.record["t"]
-        if only_warning and warned_s is not None and step.record["t"] >= warned_s + SETTLED_S:
+        records.append(step.record)
+        if _settled(scenario.expectation, records):
             return
+
+
+def _settled(wanted: Expectation, records: Sequence[Record]) -> bool:
+    """Only the warning is judged, and SETTLED_S have passed since the first one."""
+    if not records or wanted.warn_ttc_min_s is None or wanted.max_relative_error is not None:
+        return False
+    warned_s = next((r["t"] for r in records if "error" not in r and r["alert"]["level"] == "warning"), None)
+    return warned_s is not None and bool(records[-1]["t"] >= warned_s + SETTLED_S)
 
 
 class RenderedFrames:

@@ -17,14 +17,21 @@ from tmde_edge.simulation.world import Keys, Motion, Recorded, Road, eased
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Expectation:
-    """What must and must not be told. TTC is the true one of the gap, the lead's braking counted where it brakes."""
+    """What must and must not be told. TTC is the true one of the gap, the lead's braking counted where it brakes.
+
+    At least one of warn_ttc_min_s, max_relative_error, min_lead_share, min_plate_share wherever there is something to see:
+    nothing else fails a program that sees nothing.
+    """
 
     warn_ttc_min_s: float | None = None  # a warning is due at or before the TTC falls to this
     warn_ttc_max_s: float = 4.0  # and no warning or caution by TTC comes above it
     no_warning: bool = False
     no_ttc_caution: bool = False
     no_lead: bool = False  # no lead and no plate in the path may be reported in more than 2 % of the frames
-    max_relative_error: float | None = None  # median of |distance error| of the lead, where its plate is >= 60 px wide
+    max_relative_error: float | None = None  # median of |distance error| of the lead, where its plate is wide
+    min_lead_share: float | None = None  # of the frames with a vehicle in the path: a lead with a distance is reported
+    min_plate_share: float | None = None  # of the wide plates, of the lead or of others: found
+    wide_px: float = 60.0  # a plate from this width on is wide
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

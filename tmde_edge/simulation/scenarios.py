@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from tmde_edge.simulation.world import Motion
 Builder = Callable[["Look"], Scenario]
 _REGISTRY: dict[str, tuple[str, Builder]] = {}
 
+_USUAL_MM = 520.0  # the width of the plates for which the scenarios state their bars
 BUMPER_M = 1.5  # from the lens to the own front bumper
 
 
@@ -98,7 +99,12 @@ def build(name: str, *, seed: int = 0, plate: str | None = None) -> Scenario:
     _load()
     if name not in _REGISTRY:
         raise UsageError(f"scenario {name!r}: unknown; there are {', '.join(_REGISTRY)}")
-    return _REGISTRY[name][1](Look(seed, plate, name))
+    made = _REGISTRY[name][1](Look(seed, plate, name))
+    if plate is None:
+        return made
+    # a narrower plate is judged from the same distance on
+    wide_px = made.expectation.wide_px * standard_face(plate).spec.width_mm / _USUAL_MM
+    return replace(made, expectation=replace(made.expectation, wide_px=wide_px))
 
 
 def _load() -> None:

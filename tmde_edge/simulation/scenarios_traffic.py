@@ -34,7 +34,7 @@ def follow(look: Look) -> Scenario:
     ego = Motion(start_m=0.0, speed_mps=speed, accels=((2.8, -0.8), (4.8, 0.0), (6.3, 0.8), (8.3, 0.0)))
     return base(
         look, "follow", duration_s=10.0, ego=ego, actors=(lead,), pitch_amplitude_rad=0.003,
-        expectation=replace(QUIET, max_relative_error=0.03),
+        expectation=replace(QUIET, max_relative_error=0.03, wide_px=30.0, min_lead_share=0.9),
     )
 
 
@@ -45,7 +45,7 @@ def pitching(look: Look) -> Scenario:
     return base(
         look, "pitching", duration_s=8.0, ego=Motion(start_m=0.0, speed_mps=speed), actors=(lead,),
         pitch_amplitude_rad=float(np.radians(2.0)), pitch_hz=look.near(1.2, 0.2), subframes=3, exposure_time_s=0.008,
-        expectation=replace(QUIET, max_relative_error=0.03),
+        expectation=replace(QUIET, max_relative_error=0.03, wide_px=30.0, min_lead_share=0.8),
     )
 
 
@@ -59,7 +59,7 @@ def adjacent(look: Look) -> Scenario:
                   body=look.body("van", "suv"), face=look.face(text="K LM 321"))
     return base(
         look, "adjacent", duration_s=9.0, ego=Motion(start_m=0.0, speed_mps=speed), actors=(left, right), style=style,
-        expectation=QUIET,
+        expectation=replace(QUIET, min_plate_share=0.8),
     )
 
 
@@ -76,7 +76,7 @@ def curve(look: Look) -> Scenario:
     )
     return base(
         look, "curve", duration_s=9.5, ego=Motion(start_m=0.0, speed_mps=speed), actors=cars, road=road, style=style,
-        expectation=QUIET,
+        expectation=replace(QUIET, min_plate_share=0.8),
     )
 
 
@@ -87,7 +87,7 @@ def crest(look: Look) -> Scenario:
     lead = Actor(name="lead", motion=Motion(start_m=34.0, speed_mps=speed), body=look.body(), face=look.face())
     return base(
         look, "crest", duration_s=9.0, ego=Motion(start_m=0.0, speed_mps=speed), actors=(lead,), road=road,
-        style=look.road(skyline="hills"), expectation=QUIET,
+        style=look.road(skyline="hills"), expectation=replace(QUIET, min_lead_share=0.5),
     )
 
 
@@ -112,7 +112,8 @@ def tunnel(look: Look) -> Scenario:
     lead = Actor(name="lead", motion=Motion(start_m=20.0, speed_mps=speed), body=look.body(), face=look.face())
     return base(
         look, "tunnel", duration_s=8.0, ego=Motion(start_m=0.0, speed_mps=speed), actors=(lead,),
-        tunnel_exit_m=out_s * speed, exposure=((out_s - 1.2, 2.4), (out_s + 0.9, 1.0)), expectation=QUIET,
+        tunnel_exit_m=out_s * speed, exposure=((out_s - 1.2, 2.4), (out_s + 0.9, 1.0)),
+        expectation=replace(QUIET, min_lead_share=0.8),
     )
 
 
@@ -125,7 +126,7 @@ def hidden(look: Look) -> Scenario:
     )
     return base(
         look, "hidden", duration_s=6.0, ego=Motion(start_m=0.0, speed_mps=speed), actors=(lead,),
-        expectation=replace(QUIET, max_relative_error=0.03),
+        expectation=replace(QUIET, max_relative_error=0.03, min_lead_share=0.9),
     )
 
 
@@ -135,7 +136,8 @@ def _gap(look: Look, name: str, ego: Motion, lead: Motion, gap: tuple[float, flo
         name="lead", motion=lead, body=look.body(), face=look.face(),
         hidden=((gap[0] - 0.05, 0.0), (gap[0], 1.0), (gap[1], 1.0), (gap[1] + 0.05, 0.0)),
     )
-    return base(look, name, duration_s=gap[1] + 2.0, ego=ego, actors=(actor,), road=road or Road(), expectation=QUIET)
+    return base(look, name, duration_s=gap[1] + 2.0, ego=ego, actors=(actor,), road=road or Road(),
+                expectation=replace(QUIET, min_lead_share=0.8))
 
 
 @scenario("gap-steady", "following, the plate covered for 1 s")
@@ -186,7 +188,9 @@ def away(look: Look) -> Scenario:
     lead = Actor(name="lead", motion=Motion(start_m=6.0, speed_mps=0.0, accels=((1.0, look.near(2.4, 0.1)), (6.0, 0.4))),
                  body=look.body(), face=look.face())
     ego = Motion(start_m=0.0, speed_mps=0.0, accels=((1.8, 1.9), (6.5, 0.3)))
-    return base(look, "away", duration_s=9.0, ego=ego, actors=(lead,), expectation=QUIET)
+    return base(
+        look, "away", duration_s=9.0, ego=ego, actors=(lead,), expectation=replace(QUIET, min_lead_share=0.8)
+    )
 
 
 @scenario("real", "real kinematics: speed, yaw and lead distance of a RAV4 over 60 s (needs the shared recordings)")
@@ -210,7 +214,8 @@ def real(look: Look) -> Scenario:
         look, "real", duration_s=float(t_s[-1]) - 0.1, ego=Motion(start_m=0.0, speed_mps=1.0), actors=cars,
         camera=hd_camera(fx_px=2400.0, height_m=1.3, to_bumper_m=BUMPER_M, pitch_rad=0.015), style=style,
         road=Road(curvature=keys), rate_hz=20.0,
-        measured_yaw=(tuple(map(float, t_s)), tuple(map(float, yaw_radps))), expectation=QUIET,
+        measured_yaw=(tuple(map(float, t_s)), tuple(map(float, yaw_radps))),
+        expectation=replace(QUIET, min_lead_share=0.7),
     )
     return replace(made, ego=ego, props=look.props(style, ego.place_m[-1]))
 

@@ -25,7 +25,7 @@ def approach(look: Look) -> Scenario:
     lead = Actor(name="lead", motion=Motion(start_m=30.0, speed_mps=0.0), body=look.body(), face=look.face())
     return base(
         look, "approach", duration_s=round(cruise_s + speed / decel + 1.0, 1), ego=ego, actors=(lead,),
-        expectation=Expectation(max_relative_error=0.03),
+        expectation=Expectation(warn_ttc_min_s=1.8, max_relative_error=0.03),
     )
 
 
@@ -145,7 +145,7 @@ def night(look: Look) -> Scenario:
     lead = Actor(name="lead", motion=Motion(start_m=44.0, speed_mps=6.0), body=look.body(), face=look.face())
     ego = Motion(start_m=0.0, speed_mps=speed, accels=((4.4, -6.0),))
     return base(
-        look, "night", duration_s=6.0, ego=ego, actors=(lead,), light=NIGHT, style=look.road(sky="night"), subframes=2,
+        look, "night", duration_s=8.5, ego=ego, actors=(lead,), light=NIGHT, style=look.road(sky="night"), subframes=2,
         exposure_time_s=0.016, sensor=Sensor(blur_px=0.8, noise=5.0), pitch_amplitude_rad=0.002,
         expectation=Expectation(warn_ttc_min_s=1.4),
     )
@@ -160,5 +160,5 @@ def parking(look: Look) -> Scenario:
     camera = hd_camera(height_m=0.9, to_bumper_m=0.0, pitch_rad=0.0)
     return base(
         look, "parking", duration_s=4.8, ego=ego, actors=(lead,), camera=camera, dive_rad_per_mps2=0.0,
-        expectation=Expectation(no_warning=True),
+        expectation=Expectation(no_warning=True, max_relative_error=0.02, min_lead_share=0.7),
     )

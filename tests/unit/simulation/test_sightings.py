@@ -80,6 +80,18 @@ def test_a_drive_ends_after_the_warning_where_only_that_is_judged(
     assert len(records) == len(made.truth) == frames
 
 
+@pytest.mark.parametrize("warned", [True, False])
+def test_a_run_that_breaks_off_is_a_fault(warned: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def breaks_off(*_: Any, **__: Any) -> Iterator[Any]:
+        for k in range(20):
+            alert = {"level": "warning" if warned and k >= 10 else "none", "reason": "ttc"}
+            yield SimpleNamespace(record={"frame": k, "t": k / 30, "alert": alert, "lead": None, "plates": []})
+
+    monkeypatch.setattr(simulate_check, "dry_run", breaks_off)
+    (outcome,) = check_without_video(tmp_path, names=["nhtsa-slower"], overrides=["runtime.threads=1"])
+    assert outcome.faults == ("20 records for 186 frames",)
+
+
 def test_the_plate_asked_for_is_the_one_judged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     scenarios: list[Any] = []
     ask = ["simulate", "parking", "--check", "--plate", "us-mi", "--out", str(tmp_path)]

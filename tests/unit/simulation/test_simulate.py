@@ -132,6 +132,11 @@ def test_every_scenario_builds_and_has_a_line(name: str, text: str) -> None:
     assert scenario.text == text != ""
 
 
+def test_plates_of_another_standard_are_judged_from_the_same_distance_on() -> None:
+    assert build("hidden").expectation.wide_px == 60.0
+    assert build("hidden", plate="us-mi").expectation.wide_px == pytest.approx(60.0 * 304.8 / 520.0, rel=5e-3)
+
+
 def test_unknown_scenario_is_a_usage_error_that_names_the_known() -> None:
     with pytest.raises(UsageError, match="approach"):
         build("nonsense")
