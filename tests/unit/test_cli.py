@@ -263,3 +263,8 @@ def test_udp_multicast_without_its_package_is_a_clear_error(
     code, _, err = run(capsys, "check-config", "-c", str(config))
     assert code == 78
     assert "tmde-edge[udp]" in err
+
+
+def test_a_configuration_that_simulate_would_not_use_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["simulate", "stopped", "--check", "-c", str(tmp_path / "mine.toml")]) == 2
+    assert "--set" in capsys.readouterr().err

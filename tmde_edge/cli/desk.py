@@ -156,6 +156,8 @@ def _simulate(args: argparse.Namespace) -> int:
         for name, text in list_scenarios():
             print(f"{name:24} {text}")
         return 0
+    if args.config is not None:
+        raise UsageError(f"simulate -c {args.config}: a scenario has its own configuration; --set changes it (with --check)")
     if args.check:
         return _simulate_check(args)
     if (args.scenario is None) == (args.stills is None) or args.out is None:
