@@ -55,9 +55,10 @@ class ConfigError(TmdeError):
 
 
 @contextmanager
-def writing(output: object) -> Iterator[None]:
-    """A disk that refuses, within: a UsageError that names the output."""
+def writing(output: object, *more: type[Exception]) -> Iterator[None]:
+    """A disk that refuses, within: a UsageError that names the output. `more`: what else a library raises for it."""
+    refusals: tuple[type[Exception], ...] = (OSError, *more)
     try:
         yield
-    except OSError as e:
-        raise UsageError(f"{output}: cannot be written ({e.strerror or e})") from None
+    except refusals as e:
+        raise UsageError(f"{output}: cannot be written ({getattr(e, 'strerror', None) or e})") from None

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from fractions import Fraction
 from pathlib import Path
 from types import TracebackType
@@ -14,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tmde_edge.errors import UsageError
+from tmde_edge.errors import writing
 
 _TICKS_PER_S = 90_000
 
@@ -33,7 +31,7 @@ class VideoWriter:
         self._threads = threads
         self._stream: Any = None
         self._last_pts = -1
-        with self._writing():
+        with writing(self._path, av.FFmpegError):
             path.open("wb").close()  # FFmpeg itself opens it only with the first picture
             self._container: Any = av.open(str(path), "w", format="mp4", options={"movflags": "+faststart"})
 
@@ -57,7 +55,7 @@ class VideoWriter:
         frame = av.VideoFrame.from_ndarray(cv2.cvtColor(picture, cv2.COLOR_BGR2YUV_I420), format="yuv420p")
         self._last_pts = max(self._last_pts + 1, round(t_ns * _TICKS_PER_S / 1e9))
         frame.pts, frame.time_base = self._last_pts, Fraction(1, _TICKS_PER_S)
-        with self._writing():
+        with writing(self._path, av.FFmpegError):
             self._container.mux(self._stream.encode(frame))
 
     def close(self) -> None:
@@ -65,7 +63,7 @@ class VideoWriter:
         if self._container is None:
             return
         container, self._container = self._container, None
-        with self._writing():
+        with writing(self._path, av.FFmpegError):
             try:
                 if self._stream is not None:
                     container.mux(self._stream.encode())
@@ -73,13 +71,6 @@ class VideoWriter:
                 container.close()
         if self._stream is None:
             self._path.unlink(missing_ok=True)
-
-    @contextmanager
-    def _writing(self) -> Iterator[None]:
-        try:
-            yield
-        except (av.FFmpegError, OSError) as error:
-            raise UsageError(f"{self._path}: cannot be written ({getattr(error, 'strerror', None) or error})") from error
 
     def _start(self, width_px: int, height_px: int) -> None:
         self._stream = self._container.add_stream("libx264", rate=self._rate)

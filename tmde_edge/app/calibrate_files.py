@@ -18,7 +18,7 @@ import tomlkit.exceptions
 import yaml
 
 from tmde_edge.config import CalibrationRecord, from_tree
-from tmde_edge.errors import ConfigError, InputDataError, InputMissingError, UsageError
+from tmde_edge.errors import ConfigError, InputDataError, InputMissingError, UsageError, writing
 from tmde_edge.geometry.pinhole import Camera
 
 _ROS_MODELS = {"plumb_bob": 5, "rational_polynomial": 8}
@@ -82,13 +82,11 @@ def write_config(path: Path, table: Mapping[str, Any], now: datetime, *, drop: t
         raise ConfigError(f"{path}: [camera] cannot be set ({e}); mend the file first") from None
     from_tree(tomlkit.parse(text).unwrap(), str(path))  # what is written can be read
     kept: Path | None = None
-    try:
+    with writing(path):
         if old is not None:
             kept = path.with_name(f"{path.name}.bak-{now:%Y%m%d-%H%M%S}")
             _replace(kept, old, path)
         _replace(path, text, path)
-    except OSError as e:
-        raise UsageError(f"{path}: cannot be written ({e.strerror or e})") from None
     return kept
 
 
@@ -223,7 +221,7 @@ def export_camera(path: Path, camera: Camera, name: str, kind: str) -> None:
     lens += [0.0] * ((5 if len(lens) <= 5 else 8) - len(lens))
     if not all(math.isfinite(v) for v in [*k, *lens]):
         raise UsageError("the calibration is not finite")
-    try:
+    with writing(path):
         if kind == "ros":
             p = [camera.fx_px, 0.0, camera.cx_px, 0.0, 0.0, camera.fy_px, camera.cy_px, 0.0, 0.0, 0.0, 1.0, 0.0]
             tree = {
@@ -244,5 +242,3 @@ def export_camera(path: Path, camera: Camera, name: str, kind: str) -> None:
         store.write("camera_matrix", np.array(k).reshape(3, 3))
         store.write("distortion_coefficients", np.array([lens]))
         store.release()
-    except OSError as e:
-        raise UsageError(f"{path}: cannot be written ({e.strerror or e})") from None

@@ -138,7 +138,7 @@ class Desk:
         return draw(frame.image, step.result, self._config.camera.camera(), step.record.get("error"))
 
     def finish(self) -> list[str]:
-        """Closes the outputs ; the summary for people."""
+        """Closes the outputs; the summary for people."""
         self._stack.close()
         n = self._counts
         lines = [f"{n['frames']} frames, {n['with a plate']} with a plate, {n['with a lead']} with a lead"]

@@ -23,7 +23,7 @@ from tmde_edge.app.records import frame_record
 from tmde_edge.app.truth import read_truth
 from tmde_edge.app.wiring import build_eyes, estimation_of_log
 from tmde_edge.config import Config, from_tree, merged, read_tree
-from tmde_edge.errors import InputDataError, InputMissingError, TmdeError, UsageError
+from tmde_edge.errors import InputDataError, InputMissingError, TmdeError, UsageError, writing
 from tmde_edge.messages import FrameResult, Pose, Sighting
 from tmde_edge.plates.standard import select
 from tmde_edge.ranging.ranger import Ranger
@@ -230,7 +230,7 @@ def check_out(path: Path) -> None:
 def write_rows(path: Path, rows: Sequence[Row]) -> None:
     """CSV, or Parquet where the name ends in .parquet. Raises UsageError (cannot be written, pyarrow is missing)."""
     check_out(path)
-    try:
+    with writing(path):
         if path.suffix == ".parquet":
             import pyarrow
             import pyarrow.parquet
@@ -243,8 +243,6 @@ def write_rows(path: Path, rows: Sequence[Row]) -> None:
             writer.writeheader()
             for row in rows:
                 writer.writerow({k: (f"{v:.6g}" if isinstance(v, float) else v) for k, v in row.items() if v is not None})
-    except OSError as e:
-        raise UsageError(f"{path}: cannot be written ({e.strerror or e})") from None
 
 
 def default_jobs() -> int:

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 from tmde_edge.cli.common import Verbs, base_dir, config_of, number, say, use_installed
-from tmde_edge.errors import UsageError
+from tmde_edge.errors import UsageError, writing
 
 
 def add_run(verbs: Verbs) -> None:
@@ -123,9 +123,7 @@ def _shadow_report(args: argparse.Namespace) -> int:
     use_installed(args)
     report = shadow.read_shadow(args.folder or Path(config_of(args).record.folder))
     if args.html is not None:
-        try:
+        with writing(f"--html {args.html}"):
             shadow.write_html(report, args.html)
-        except OSError as e:
-            raise UsageError(f"--html {args.html}: cannot be written ({e.strerror or e})") from None
     print(json.dumps(shadow.as_json(report)) if args.json else "\n".join(shadow.lines_of(report)))
     return 0

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import time
 import tty
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -88,6 +90,22 @@ def test_a_port_that_comes_late_and_goes(tmp_path: Path) -> None:
         port.close()
 
 
+@contextmanager
+def rangefinder() -> Iterator[tuple[int, list[RangeReference]]]:
+    """The instrument's end of the line, and what a port that is open on the other end has heard."""
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    got: list[RangeReference] = []
+    port = RangePort(RecordConfig(range_device=os.ttyname(slave)), got.append)
+    port.start()
+    try:
+        yield master, got
+    finally:
+        port.close()
+        os.close(slave)
+        os.close(master)
+
+
 @pytest.mark.parametrize(
     ("writes", "expected_m"),
     [
@@ -96,35 +114,17 @@ def test_a_port_that_comes_late_and_goes(tmp_path: Path) -> None:
     ],
 )
 def test_a_part_of_a_line_is_no_measurement(writes: list[bytes | float], expected_m: list[float]) -> None:
-    master, slave = os.openpty()
-    tty.setraw(slave)
-    got: list[RangeReference] = []
-    port = RangePort(RecordConfig(range_device=os.ttyname(slave)), got.append)
-    port.start()
-    try:
+    with rangefinder() as (line, got):
         time.sleep(0.8)  # open, and silent for so long that what comes begins a line
         for what in writes:
-            time.sleep(what) if isinstance(what, float) else os.write(master, what)
+            time.sleep(what) if isinstance(what, float) else os.write(line, what)
         until(lambda: len(got) >= len(expected_m))
         assert [g.distance_m for g in got] == pytest.approx(expected_m)
-    finally:
-        port.close()
-        os.close(slave)
-        os.close(master)
 
 
 def test_a_port_that_opens_in_the_middle_of_a_line_waits_for_the_next() -> None:
-    master, slave = os.openpty()
-    tty.setraw(slave)
-    got: list[RangeReference] = []
-    port = RangePort(RecordConfig(range_device=os.ttyname(slave)), got.append)
-    port.start()
-    try:
+    with rangefinder() as (line, got):
         time.sleep(0.2)  # open, but nothing says that a line begins here
-        os.write(master, b"345\n12.345\n")
+        os.write(line, b"345\n12.345\n")
         until(lambda: bool(got))
         assert [g.distance_m for g in got] == [12.345]
-    finally:
-        port.close()
-        os.close(slave)
-        os.close(master)
