@@ -20,11 +20,14 @@ from pathlib import Path
 import can
 import pytest
 from can.interfaces.virtual import VirtualBus
+from hypothesis import given
+from hypothesis import strategies as st
 
 from tmde_edge.adapters.can_ports.bus import CanPort, monotonic_from_wall
 from tmde_edge.adapters.can_ports.disabled import DisabledCanPort
 from tmde_edge.adapters.can_ports.nmea import NmeaPort
 from tmde_edge.adapters.can_ports.retry import BackOff
+from tmde_edge.adapters.can_ports.serial_blocks import BlockReader
 from tmde_edge.app.can_transmit import listen
 from tmde_edge.canbus.gps import speed_from_frame
 from tmde_edge.canbus.settings import CanSettings
@@ -376,6 +379,52 @@ def test_a_serial_adapter_serves_one_program(caplog: pytest.LogCaptureFixture) -
     second.close()
     os.close(master)
     os.close(slave)
+
+
+class CountedPort:
+    """A serial port that counts how often it is asked."""
+
+    def __init__(self, data: bytes) -> None:
+        self.data, self.reads = data, 0
+        self.baudrate = 115200
+
+    @property
+    def in_waiting(self) -> int:
+        return len(self.data)
+
+    def read(self, size: int = 1) -> bytes:
+        self.reads += 1
+        out, self.data = self.data[:size], self.data[size:]
+        return out
+
+    def reset_input_buffer(self) -> None:
+        self.data = b""
+
+
+@given(st.lists(st.binary(min_size=1, max_size=60), max_size=6), st.integers(1, 7))
+def test_a_serial_port_read_in_blocks_gives_every_byte_once(blocks: list[bytes], size: int) -> None:
+    port = CountedPort(b"")
+    reader = BlockReader(port)
+    assert reader.read(1) == b""  # the port's own timeout
+    asked = port.reads
+    got = b""
+    for block in blocks:
+        port.data += block
+        while reader.in_waiting:
+            got += reader.read(size)
+    assert got == b"".join(blocks)
+    assert port.reads - asked == len(blocks)
+
+
+def test_a_serial_port_read_in_blocks_forgets_what_was_thrown_away() -> None:
+    port = CountedPort(b"t1230\rt45")
+    reader = BlockReader(port)
+    assert reader.read(1) == b"t"
+    reader.reset_input_buffer()
+    assert reader.in_waiting == 0
+    port.data = b"60\r"
+    assert reader.read(9) == b"60\r"
+    assert reader.baudrate == 115200  # all else is the port's own
 
 
 def test_gps_over_a_serial_port(tmp_path: Path) -> None:

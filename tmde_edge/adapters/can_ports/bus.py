@@ -12,6 +12,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from tmde_edge.adapters.can_ports.retry import BackOff, LastingFault
+from tmde_edge.adapters.can_ports.serial_blocks import BlockReader
 from tmde_edge.adapters.can_ports.serial_hold import hold_serial
 from tmde_edge.canbus.settings import CanSettings
 from tmde_edge.messages import CanFrame
@@ -277,7 +278,10 @@ class CanPort:
             }
         elif s.interface == "udp_multicast":
             options |= {"hop_limit": 0}  # between processes of this machine; a packet never leaves it
-        return can.Bus(**options)
+        bus = can.Bus(**options)
+        if hasattr(bus, "serialPortOrig"):  # slcan
+            bus.serialPortOrig = BlockReader(bus.serialPortOrig)
+        return bus
 
     def _shut(self, bus: Any) -> None:
         import can
