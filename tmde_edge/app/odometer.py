@@ -64,6 +64,7 @@ class Odometer:
         self._monotonic_ns, self._wall_ns = monotonic_ns, wall_ns
         self._sum = Watched()
         self._last: FrameResult | None = None
+        self._tick_ns: int | None = None
         self._written_ns = monotonic_ns()
         self.problem: str | None = None
 
@@ -86,6 +87,18 @@ class Odometer:
                     self._sum.distance_m += speed_mps * dt_s
                     self._sum.moving_s += dt_s if speed_mps > _MOVING_MPS else 0.0
         if began or self._monotonic_ns() - self._written_ns > _PERIOD_NS:
+            self._write()
+
+    def wait(self, t_ns: int) -> None:
+        """Takes a Tick's time: before the first picture nothing else tells that time passes, unwatched."""
+        last_ns, self._tick_ns = self._tick_ns, t_ns
+        if self._last is not None or last_ns is None:
+            return
+        dt_s = (t_ns - last_ns) * 1e-9
+        if 0 < dt_s <= _LONGEST_STEP_S:
+            self._sum.watched_s += dt_s
+            self._sum.blind_s += dt_s
+        if self._monotonic_ns() - self._written_ns > _PERIOD_NS:
             self._write()
 
     def close(self) -> None:

@@ -13,7 +13,7 @@ from tmde_edge.app.privacy import FrameKeeper
 from tmde_edge.app.ring import Ring
 from tmde_edge.config import Config, RecordConfig
 from tmde_edge.errors import writing
-from tmde_edge.messages import Event, Frame, FrameResult, Output, RangeReference, Sighting
+from tmde_edge.messages import Event, Frame, FrameResult, Output, RangeReference, Sighting, Tick
 
 
 def frame_keeper(settings: RecordConfig) -> FrameKeeper:
@@ -92,6 +92,8 @@ class Recorder:
         if self.evidence is not None:
             self.evidence.write(event, outputs)
         if self._odometer is not None:
+            if isinstance(event, Tick):
+                self._odometer.wait(event.t_ns)
             for output in outputs:
                 if isinstance(output, FrameResult):
                     self._odometer.take(output)

@@ -19,7 +19,7 @@ from tmde_edge.app.odometer import read_odometer
 from tmde_edge.app.recorder import keeps_evidence, make_recorder
 from tmde_edge.app.verdict import Moment, judge
 from tmde_edge.config import Config, RecordConfig, load
-from tmde_edge.messages import CanFrame, RangeReference
+from tmde_edge.messages import CanFrame, RangeReference, Tick
 
 
 def info_of(folder: Path) -> dict[str, object]:
@@ -209,6 +209,23 @@ def test_distance_and_time_for_the_rates(tmp_path: Path) -> None:
     again.run(10)
     again.recorder.close()
     assert len(list(read_odometer(tmp_path))) == len(lines) + 1  # the torn line spoils no other
+
+
+def test_time_without_a_camera_since_the_start_was_blind(tmp_path: Path) -> None:
+    drive = Drive(tmp_path)
+    start_ns = drive.now_ns
+    for i in range(1401):  # 70 s
+        drive.now_ns = start_ns + i * S // 20
+        drive.recorder.write(Tick(t_ns=drive.now_ns, faults=("camera_lost",)), ())
+    drive.now_ns += S
+    drive.run(30, speed_mps=20.0)
+    drive.recorder.write(Tick(t_ns=drive.now_ns), ())
+    drive.recorder.close()
+    lines = list(read_odometer(tmp_path))
+    assert len(lines) >= 2  # a line a minute, camera or not
+    assert sum(w.blind_s for _, w in lines) == pytest.approx(70, abs=0.1)
+    assert sum(w.watched_s for _, w in lines) == pytest.approx(100, abs=0.5)
+    assert sum(w.distance_m for _, w in lines) == pytest.approx(600, rel=0.02)
 
 
 def test_where_nothing_was_made_ready_shadow_mode_keeps_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
