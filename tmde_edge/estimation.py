@@ -287,8 +287,7 @@ class Estimation:
     def _scale_changes(self, s: Sighting, camera: Camera | None) -> None:
         """Growth and place of the whole vehicle's rear; the plate's own growth is already in its ranges."""
         for change in s.scale_changes:
-            if change.source == "vehicle":
-                self._tracker.grow(change, s.t_ns)
+            self._tracker.grow(change, s.t_ns)
         for box in s.vehicles:
             if camera is not None:
                 middle = np.array([[(box.left_px + box.right_px) / 2, (box.top_px + box.bottom_px) / 2]])

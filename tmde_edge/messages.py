@@ -78,7 +78,6 @@ class ScaleChange:
     t_from_ns: int
     ratio: float  # image size now / then
     sigma: float
-    source: Literal["plate", "vehicle"] = "plate"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

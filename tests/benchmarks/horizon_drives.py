@@ -18,7 +18,7 @@ from tmde_edge.adapters.detectors.horizonnet import HorizonNet
 from tmde_edge.geometry.pinhole import Camera
 from tmde_edge.messages import LaneSighting, Pose
 from tmde_edge.pose.attitude import AttitudeEstimator
-from tmde_edge.pose.compensate import ground_range, view_from_vehicle
+from tmde_edge.pose.compensate import ground_range, vanishing_point_px, view_from_vehicle
 from tmde_edge.pose.lanes import LaneFinder
 from tmde_edge.pose.settings import PoseSettings
 from tmde_edge.pose.tilt import TiltMeter
@@ -45,7 +45,7 @@ def drive(scenario: Scenario, rate_hz: float, seconds: float) -> dict[str, tuple
         t_ns = round(t_s * 1e9)
         true_rad = c.pitch_rad + scenario.pitch_rad(t_s)
         image = picture(scenario, k)
-        expected = filters["lanes, filtered"].expected_vanishing_px(c.width_px, c.height_px)
+        expected = vanishing_point_px(filters["lanes, filtered"].rest, c)
         lanes, network = finder.see(image, t_ns, expected), net.see(image, c.fx_px, expected)
         tilt = meter.see(image, t_ns, expected)
         for name, seen in (("lanes", lanes), ("network", network)):

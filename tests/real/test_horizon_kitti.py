@@ -13,6 +13,7 @@ import pytest
 
 from tmde_edge.geometry.pinhole import Camera
 from tmde_edge.pose.attitude import AttitudeEstimator
+from tmde_edge.pose.compensate import vanishing_point_px
 from tmde_edge.pose.lanes import LaneFinder
 from tmde_edge.pose.settings import PoseSettings
 from tmde_edge.pose.tilt import TiltMeter
@@ -34,7 +35,7 @@ def test_horizon_row_beats_the_constant_row_of_the_calibration() -> None:
     for k in range(len(truth_px)):
         image = cv2.imread(str(DRIVE / f"{k:010d}.png"))
         t_ns = k * 100_000_000
-        expected = estimator.expected_vanishing_px(1242, 375)
+        expected = vanishing_point_px(estimator.rest, CAMERA)
         lanes, tilt = finder.see(image, t_ns, expected), meter.see(image, t_ns, expected)
         pose = estimator.update(lanes, t_ns, None, None, tilt)
         rows_px.append(CAMERA.cy_px - CAMERA.fy_px * math.tan(pose.pitch_rad))

@@ -8,8 +8,8 @@ from typing import Literal
 import numpy as np
 
 from tmde_edge.geometry.pinhole import Camera
-from tmde_edge.messages import EgoState, LaneSighting, Point, Pose, TiltChange
-from tmde_edge.pose.compensate import pitch_and_yaw, vanishing_point_px
+from tmde_edge.messages import EgoState, LaneSighting, Pose, TiltChange
+from tmde_edge.pose.compensate import pitch_and_yaw
 from tmde_edge.pose.pitch_filter import PitchFilter
 from tmde_edge.pose.resting import RestingPose
 from tmde_edge.pose.settings import PoseSettings
@@ -78,12 +78,6 @@ class AttitudeEstimator:
             pitch_sigma_rad=sigma_rad,
             roll_sigma_rad=self._settings.rest_sigma_rad,
         )
-
-    def expected_vanishing_px(self, width_px: int, height_px: int) -> Point | None:
-        """Where LaneFinder should look in an image of this size; None without a calibration."""
-        if self._camera is None:
-            return None
-        return vanishing_point_px(self.rest, self._camera.scaled_to(width_px, height_px))
 
     def update(
         self,

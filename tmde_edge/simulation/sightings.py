@@ -166,7 +166,7 @@ def _growth(
     if one.anchor is not None and t_ns - one.anchor[0] >= e.growth_s * 1e9 - 1e6:
         sigma = e.growth_px / (2.0 * float(np.hypot(*(corners[1] - corners[0]))))
         ratio = nearness / one.anchor[1] + float(rng.normal(0, sigma))
-        out.append(ScaleChange(track_id=one.track_id, t_from_ns=one.anchor[0], ratio=ratio, sigma=sigma, source="vehicle"))
+        out.append(ScaleChange(track_id=one.track_id, t_from_ns=one.anchor[0], ratio=ratio, sigma=sigma))
         one.anchor = None
     if one.anchor is None:
         one.anchor = (t_ns, nearness)

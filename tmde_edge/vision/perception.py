@@ -265,10 +265,9 @@ class Perception:
                 continue
             rear = grow(track.anchor, image, track.corners_px, self._flow)
             if rear is not None:
-                since_ns = track.anchor_ns
-                changes.append(ScaleChange(
-                    track_id=track.id, t_from_ns=since_ns, ratio=rear.ratio, sigma=rear.sigma, source="vehicle",
-                ))
+                changes.append(
+                    ScaleChange(track_id=track.id, t_from_ns=track.anchor_ns, ratio=rear.ratio, sigma=rear.sigma)
+                )
             track.anchor = None
         return tuple(changes)
 

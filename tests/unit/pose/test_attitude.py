@@ -53,7 +53,7 @@ def test_pitching_of_two_degrees_is_followed_through_pictures() -> None:
     for k in range(60):
         t_s = k / 30
         true = Pose(pitch_rad=math.radians(2.0) * math.sin(2 * math.pi * 0.8 * t_s), roll_rad=0.0)
-        seen = finder.see(picture(true, seed=k), 0, estimator.expected_vanishing_px(1280, 720)) if k % 3 == 0 else None
+        seen = finder.see(picture(true, seed=k), 0, vanishing_point_px(estimator.rest, CAMERA)) if k % 3 == 0 else None
         got = estimator.update(seen, round(t_s * 1e9), None)
         errors.append(got.pitch_rad - true.pitch_rad)
         sigmas.append(got.pitch_sigma_rad)
@@ -139,7 +139,6 @@ def test_learnt_rest_carries_over_and_the_pitch_does_not_jump() -> None:
     assert np.abs(np.diff(pitches[1:])).max() < 2e-3
     again = AttitudeEstimator(PoseSettings(), CAMERA, resting=estimator.resting)
     assert again.rest.pitch_rad == pytest.approx(0.03)
-    assert again.expected_vanishing_px(1280, 720) == pytest.approx(vanishing_point_px(again.rest, CAMERA))
 
 
 def test_a_moved_camera_is_learnt_anew() -> None:
@@ -174,7 +173,7 @@ def test_pitching_without_lanes_is_followed_by_the_pictures_own_movement() -> No
         t_ns = round(k / 30 * 1e9)
         true = Pose(pitch_rad=math.radians(2.0) * math.sin(2 * math.pi * 0.8 * max(k - 10, 0) / 30), roll_rad=0.0)
         image = picture(true, seed=k, stripes_m=(), skyline=True)
-        tilt = meter.see(image, t_ns, estimator.expected_vanishing_px(1280, 720))
+        tilt = meter.see(image, t_ns, vanishing_point_px(estimator.rest, CAMERA))
         assert (tilt is None) == (k == 0)
         got = estimator.update(lanes_of(true) if k < 10 else None, t_ns, None, None, tilt)
         errors.append(got.pitch_rad - true.pitch_rad)

@@ -73,7 +73,7 @@ def test_a_vague_or_broken_answer_is_none() -> None:
 @settings(deadline=None, max_examples=25)
 def test_the_pose_names_the_network_and_follows_it(pitch: float) -> None:
     e = AttitudeEstimator(PoseSettings(), CAMERA)
-    expected = e.expected_vanishing_px(1280, 720)
+    expected = vanishing_point_px(e.rest, CAMERA)
     view = network_view(1280, 720, 1400.0, expected)
     true_px = vanishing_point_px(Pose(pitch_rad=pitch, roll_rad=0.0), CAMERA)
     pose = None

@@ -228,7 +228,7 @@ def _hidden_plate(settings: TrackerSettings) -> tuple[LeadTracker, float]:
                                  lateral_m=0.0, lateral_sigma_m=0.05, down_m=0.0), "plate"
             )  # fmt: skip
         if k and k % 6 == 0:
-            change = ScaleChange(track_id=1, t_from_ns=growth_ns, ratio=then_m / true_m, sigma=1e-3, source="vehicle")
+            change = ScaleChange(track_id=1, t_from_ns=growth_ns, ratio=then_m / true_m, sigma=1e-3)
             tracker.grow(change, t_ns)
             growth_ns, then_m = t_ns, true_m
     return tracker, true_m
@@ -253,7 +253,7 @@ def test_a_hidden_vehicle_may_brake_hard_but_its_speed_does_not_jump(closing_mps
     for k in range(1, 4):
         now_m, t_ns = max(true_m - closing_mps * 0.2 * k, 1.0), round((3.0 + 0.2 * k) * 1e9)
         tracker.predict(t_ns)
-        change = ScaleChange(track_id=1, t_from_ns=then_ns, ratio=then_m / now_m, sigma=1e-3, source="vehicle")
+        change = ScaleChange(track_id=1, t_from_ns=then_ns, ratio=then_m / now_m, sigma=1e-3)
         tracker.grow(change, t_ns)
         then_m, then_ns = now_m, t_ns
     assert (track.filter.range_rate_mps == pytest.approx(-closing_mps, abs=0.5)) == believed
@@ -274,7 +274,7 @@ def test_one_growth_that_contradicts_a_settled_speed_is_not_believed_two_are() -
     step_ns = 200_000_000
 
     def see(k: int, ratio: float) -> bool:
-        change = ScaleChange(track_id=1, t_from_ns=k * step_ns, ratio=ratio, sigma=0.002, source="vehicle")
+        change = ScaleChange(track_id=1, t_from_ns=k * step_ns, ratio=ratio, sigma=0.002)
         return _grow(f, change, 0.002, (k + 1) * step_ns).accepted
 
     f.set_anchor(0)
