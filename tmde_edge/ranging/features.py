@@ -74,12 +74,20 @@ class Features:
     @property
     def width(self) -> float | None:
         """Mean of the upper and lower edge's length, normalised, of those whose ends are valid."""
-        return self._mean_edge(((0, 1), (3, 2)))
+        return self.width_of(self.corners)
 
     @property
     def height(self) -> float | None:
         """Mean of the left and right edge's length, normalised, of those whose ends are valid."""
-        return self._mean_edge(((0, 3), (1, 2)))
+        return self.height_of(self.corners)
+
+    def width_of(self, corners: Floats) -> float | None:
+        """`width` of other corners (4, 2), over the same edges."""
+        return self._mean_edge(corners, ((0, 1), (3, 2)))
+
+    def height_of(self, corners: Floats) -> float | None:
+        """`height` of other corners (4, 2), over the same edges."""
+        return self._mean_edge(corners, ((0, 3), (1, 2)))
 
     def glyph_bias(self, bias_px: float, resolved_px: float) -> float:
         """One sigma of the error that all heights share (normalised): both edges outward or inward together.
@@ -90,10 +98,8 @@ class Features:
         blend = 1.0 + (resolved_px / max(typical_px, 1.0)) ** 2
         return 2 * bias_px * self.doubt * blend / self.focal_px
 
-    def _mean_edge(self, pairs: tuple[tuple[int, int], ...]) -> float | None:
-        lengths = [
-            float(np.hypot(*(self.corners[b] - self.corners[a]))) for a, b in pairs if self.corner_ok[a] and self.corner_ok[b]
-        ]
+    def _mean_edge(self, corners: Floats, pairs: tuple[tuple[int, int], ...]) -> float | None:
+        lengths = [float(np.hypot(*(corners[b] - corners[a]))) for a, b in pairs if self.corner_ok[a] and self.corner_ok[b]]
         return sum(lengths) / len(lengths) if lengths else None
 
 

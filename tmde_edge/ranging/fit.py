@@ -30,7 +30,6 @@ _WILD = 5.0  # sigmas
 _MOST_LENIENCE = 80.0  # cost
 _NEW_IN_A_FRAME = 0.2  # share of the variance of errors common to one frame: most of it is the text's shapes, which stay
 _PRIOR_DOF = 6.0  # residuals worse than stated must show on more than a few features before the noise is scaled
-_CUES_DOF = 1.0  # the same for whole cues against each other
 _SIGNS = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
 
 
@@ -60,13 +59,15 @@ class Model:
 class Fit:
     """The optimum, its covariance in two parts and what it costs.
 
-    noise: covariance from the image's noise; prior: from the sizes and angles that were assumed; both (p, p).
+    noise: covariance from the image's noise; prior: from the sizes and angles that were assumed; data: information of the
+    image alone; all (p, p).
     cost: -2 log posterior without constants. evidence: log marginal likelihood (Laplace), to compare standards by.
     """
 
     x: Floats
     noise: Floats
     prior: Floats
+    data: Floats
     cost: float
     evidence: float
     glyphs_used: int
@@ -219,17 +220,15 @@ class _Problem:
         if not np.isfinite(x).all() or abs(x[YAW]) > 1.4 or abs(x[LEAN]) > 1.2:
             return None
         inverse = np.linalg.inv(state.normal)
-        # Residuals larger than stated (blur, bad edges, a plate unlike its standard) widen everything (Birge's ratio);
-        # smaller ones narrow nothing.
+        # Residuals larger than stated (blur, bad edges) widen the noise (Birge's ratio); smaller ones narrow nothing.
         count = 2 * len(self.corner) + len(self.glyph) + len(self.runs)
         strain = state.cost / max(count, 1)
         excess = max(1.0, (state.cost + _PRIOR_DOF) / (count + _PRIOR_DOF))
         noise = inverse @ state.data @ inverse * excess
-        torn = max(excess, self._disagreement(x))
-        prior = inverse @ state.assumed @ inverse * torn
+        prior = inverse @ state.assumed @ inverse
         # Edge errors that one frame's features share come partly new with the next frame: the grid has moved on.
         spread = inverse @ state.assumed[:, POSE:]
-        moving = _NEW_IN_A_FRAME * (spread * self.m.frame_bias) @ spread.T * torn
+        moving = _NEW_IN_A_FRAME * (spread * self.m.frame_bias) @ spread.T
         noise, prior = noise + moving, prior - moving
         # Standards are compared without the outline's long tails: those are for blunders, not for other standards.
         outline = slice(POSE + self.k, POSE + self.k + 2)
@@ -240,22 +239,10 @@ class _Problem:
         prior_logdet = np.linalg.slogdet(self.m.information)[1]
         evidence = -0.5 * (state.cost + lenience) + 0.5 * (prior_logdet - (logdet if sign > 0 else 0.0))
         return Fit(
-            x=x, noise=noise, prior=prior, cost=state.cost, evidence=float(evidence), glyphs_used=len(self.glyph),
-            corners_used=len(self.corner), pitch_used=bool(self.runs), rejected=state.rejected,
+            x=x, noise=noise, prior=prior, data=state.data, cost=state.cost, evidence=float(evidence),
+            glyphs_used=len(self.glyph), corners_used=len(self.corner), pitch_used=bool(self.runs), rejected=state.rejected,
             strain=strain,
         )
-
-
-    def _disagreement(self, x: Floats) -> float:
-        """Birge's ratio of the cues (character heights, width, height, spacing): how far the sizes had to be pulled to agree.
-
-        Hundreds of pixels can fit well while the characters say 3 % and the outline says 6 %: then one of the assumed sizes is
-        wrong, nobody knows which, and the few cues must be judged as few.
-        """
-        pull = self._tailed(x - self.m.mean)[0] * (np.arange(len(x)) >= POSE)
-        cues = len(set(self.classes.tolist())) + (2 if len(self.corner) >= 3 else 0) + (1 if self.runs else 0)
-        chi2 = float(pull @ self.m.information @ pull)
-        return (chi2 + _CUES_DOF) / (max(cues - 1, 0) + _CUES_DOF)
 
 
 def axes(angles: Floats) -> tuple[Floats, Floats, Floats]:

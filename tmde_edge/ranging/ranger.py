@@ -7,7 +7,7 @@ answers by belief, and learns the track's proportions (scale_memory). `method = 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from tmde_edge.messages import CueRange, PlateSighting, RangeMeasurement
 from tmde_edge.plates.standard import PlateStandard
 from tmde_edge.ranging import cues, fuse
 from tmde_edge.ranging.classify import StandardClass, classes, layout_log_likelihood, shape_log_likelihood
+from tmde_edge.ranging.contradiction import scale_factor
 from tmde_edge.ranging.features import Features, clusters, gather
 from tmde_edge.ranging.fit import LEAN, LOG_D, POSE, ROLL, YAW, Fit, Model, U, V, solve
 from tmde_edge.ranging.model import assign_classes, build_model, first_distance_m, misplaced, size_bias, starts
@@ -32,8 +33,6 @@ _MISFITS_TO_RESET = 3
 _STRAIN = 1.3  # a fit under more strain asks for a second look from elsewhere
 _SHAPE_SLACK = 3.0  # the cheap look may be wrong by so much in log likelihood
 _UNASSIGNED_COST = 9.0  # of a glyph that fits no class of a standard
-_SIZES = ("char_height", "plate_width", "plate_height")  # a missed character doubles the spacing: it contradicts nobody
-_TORN_DOF = 1.0  # cues as good as stated that stand behind those of one sighting
 _MISPLACED_COST = 3.0  # of a glyph of another height than the standard's layout has there
 
 
@@ -166,7 +165,8 @@ class Ranger:
         fits = _solutions(features, model, starts(expected, features, model, known))
         if not fits:
             return None
-        best = fits[0]
+        first, torn = fits[0], scale_factor(features, model, fits[0])
+        best = replace(first, prior=first.prior + (torn**2 - 1) * first.covariance)  # as wrong in the next frame: no noise
         weights = [float(np.exp(-0.5 * (f.cost - best.cost))) for f in fits]
         log_d, spread = fuse.mixture(weights, [f.x[LOG_D] for f in fits], [0.0] * len(fits))
         _, yaw_sigma = fuse.mixture(weights, [f.x[YAW] for f in fits], [f.covariance[YAW, YAW] ** 0.5 for f in fits])
@@ -234,7 +234,6 @@ class Ranger:
             prior_var = sum(p.weight * p.prior_var for p in parts.values()) + spread**2
             distance = float(np.exp(mean))
             used = _used_by_fit(best)
-            prior_var = max(prior_var, _torn([c for c in measured if c.name in used and c.name in _SIZES], mean))
         scale_sigma = float(np.hypot(prior_var**0.5, camera.focal_sigma))
         relative = float(np.hypot(scale_sigma, noise_var**0.5))
         if not np.isfinite(distance) or not np.isfinite(relative):
@@ -258,19 +257,6 @@ class Ranger:
             tall = np.zeros(len(features.heights), dtype=bool)
             tall[clusters(np.log(features.heights))[0]] = answer.group.expected.classes == 1
         return cues.all_cues(features, answer.group.expected.standard, tall, self.settings)
-
-
-def _torn(used: list[cues.Cue], log_d: float) -> float:
-    """Relative variance that cues leave which contradict each other (Birge's ratio over them): one is wrong, nobody knows which.
-
-    A fit that follows two of three calls the third one wild and would be as sure as if it had never been seen.
-    """
-    relative = np.array([c.sigma_m / c.distance_m for c in used])
-    if len(relative) < 2:
-        return 0.0
-    chi2 = float(np.sum(((np.log([c.distance_m for c in used]) - log_d) / relative) ** 2))
-    excess = (chi2 + _TORN_DOF) / (len(relative) - 1 + _TORN_DOF)
-    return excess / float(np.sum(relative**-2.0)) if excess > 1.0 else 0.0
 
 
 def _hypotheses(answers: list[_Answer], belief: dict[str, float], known: TrackScale | None) -> dict[str, _Hypothesis]:

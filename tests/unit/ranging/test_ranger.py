@@ -325,3 +325,20 @@ def test_characters_that_the_fit_calls_wild_still_widen_the_sigma(share: float) 
     torn = sighting(STANDARDS["ru-1"], distance_m=8.0, glyph_sigma=0.05, corner_sigma=0.1, glyph_mm=76 * share)
     found = ranged(ranger("ru-1"), torn)
     assert found.sigma_m > 0.2 * (1 / share - 1) * 8.0
+
+
+def test_a_turn_that_only_reconciles_two_sizes_hides_no_contradiction() -> None:
+    """Characters 6 % too tall on a far plate that faces us: the fit could turn the plate until its width agrees."""
+    tall = sighting(STANDARDS["ru-1"], distance_m=8.0, glyph_sigma=0.05, corner_sigma=0.1, glyph_mm=76 * 1.06)
+    found = ranged(ranger("ru-1"), tall)
+    assert 2 * found.sigma_m > abs(found.distance_m - 8.0)
+    assert found.sigma_m > 0.02 * 8.0
+
+
+@pytest.mark.parametrize("yaw", [0.2, 0.4])
+def test_a_turn_that_perspective_shows_contradicts_nothing(yaw: float) -> None:
+    facing, turned = (
+        ranged(ranger("ru-1"), sighting(STANDARDS["ru-1"], distance_m=1.5, yaw=y, glyph_sigma=0.05, corner_sigma=0.1))
+        for y in (0.0, yaw)
+    )
+    assert turned.sigma_m < 1.2 * facing.sigma_m
