@@ -228,7 +228,7 @@ class _Problem:
         prior = inverse @ state.assumed @ inverse
         # Edge errors that one frame's features share come partly new with the next frame: the grid has moved on.
         spread = inverse @ state.assumed[:, POSE:]
-        moving = _NEW_IN_A_FRAME * (spread * self.m.frame_bias) @ spread.T
+        moving = _NEW_IN_A_FRAME * spread @ self.m.frame_bias @ spread.T
         noise, prior = noise + moving, prior - moving
         # Standards are compared without the outline's long tails: those are for blunders, not for other standards.
         outline = slice(POSE + self.k, POSE + self.k + 2)

@@ -34,6 +34,8 @@ _DISAGREE = 0.05  # log distance by the characters against that by the outline
 # Of plates and characters about _LOW_PX high, relative, growing with the square: seen heights come out too large together with
 # everything else, and melted characters are counted wrong, which makes their spacing wrong by any amount.
 _LOW_PX, _LOW_HEIGHT_SIGMA, _MELTED_PITCH = 6.0, 0.12, 0.04
+_LOW_TOGETHER = 0.8  # correlation of that error of the plate's height with the characters' (stills of 17 to 24 px: 0.64 to 0.80)
+_MOST_SIGMA = 0.5
 _MISSED_PITCH = 0.15  # fewer characters than any plate of the standard has: the spacing spans some that were missed
 _TALL_MISSING = 2.0  # cost of having seen small characters only
 
@@ -98,25 +100,31 @@ def expectation(standard: PlateStandard, settings: RangingSettings) -> Expectati
 
 
 def size_bias(expected: Expectation, features: Features, settings: RangingSettings) -> Floats:
-    """Variance (m,) of log sizes from errors common to one frame: edges that all lie a bit outside, in pixels."""
+    """Covariance (m, m) of log sizes from errors common to one frame: edges that all lie a bit outside, in pixels.
+
+    All classes of characters share theirs; where blur melts them into their row, the plate's height shares it too.
+    """
     k = expected.classes
-    out = np.zeros(k + 3)
+    own = np.zeros(k + 3)  # variances of what each size has for itself
     typical = float(np.median(features.heights)) if len(features.heights) else 0.05
-    out[:k] = (features.glyph_bias(settings.glyph_bias_px, settings.glyph_resolved_px) / typical) ** 2
+    shared = np.zeros(k + 3)  # one sigma of the common error
+    shared[:k] = min(features.glyph_bias(settings.glyph_bias_px, settings.glyph_resolved_px) / typical, _MOST_SIGMA)
     # Corners come from fitted edges: part of their error is common to both ends of an edge.
     rough = (0.0, 0.0) if features.refined else (settings.unrefined_width_sigma, settings.unrefined_height_sigma)
     outline = ((k, features.width, features.width_sigma, rough[0]), (k + 1, features.height, features.height_sigma, rough[1]))
     for place, side, sigma, more in outline:
         if side is not None:
             edge_px = float(np.hypot(settings.outline_bias_px, 0.5 * sigma * features.focal_px))
-            out[place] = (2**0.5 * edge_px / (side * features.focal_px)) ** 2 + more**2
+            own[place] = (2**0.5 * edge_px / (side * features.focal_px)) ** 2 + more**2
     if features.height is not None:
-        out[k + 1] += (_LOW_HEIGHT_SIGMA * (_LOW_PX / max(features.height * features.focal_px, 1.0)) ** 2) ** 2
+        low = min(_LOW_HEIGHT_SIGMA * (_LOW_PX / max(features.height * features.focal_px, 1.0)) ** 2, _MOST_SIGMA)
+        shared[k + 1] = _LOW_TOGETHER * low
+        own[k + 1] += (1 - _LOW_TOGETHER**2) * low**2
     if len(features.heights):
         melted = _MELTED_PITCH * (_LOW_PX / max(typical * features.focal_px, 1.0)) ** 2
         missed = _MISSED_PITCH if len(features.heights) < min(expected.standard.char_counts) else 0.0
-        out[k + 2] += melted**2 + missed**2
-    return np.minimum(out, 0.25)
+        own[k + 2] += melted**2 + missed**2
+    return np.asarray(np.outer(shared, shared) + np.diag(np.minimum(own, _MOST_SIGMA**2)), dtype=np.float64)
 
 
 def first_distance_m(expected: Expectation, features: Features) -> float | None:
@@ -183,7 +191,7 @@ def build_model(expected: Expectation, features: Features, known: Sizes, bias: F
     mean[U], mean[V], mean[LOG_D] = features.centre[0], features.centre[1], np.log(distance_m)
     sigma = np.array([sigma_yaw, sigma_lean, settings.roll_sigma_rad, reach, reach, 5.0])
     information[np.arange(POSE), np.arange(POSE)] = sigma**-2
-    blurred = known.covariance + np.diag(bias)
+    blurred = known.covariance + bias
     information[POSE:, POSE:] = np.linalg.inv(blurred)
     tail_c = np.full(p, _GAUSSIAN)
     tail_c[YAW], tail_c[LEAN], tail_c[POSE + k : POSE + k + 2] = _YAW_C, _LEAN_C, _OUTLINE_C

@@ -303,7 +303,7 @@ def _solutions(features: Features, model: Model, from_: list[Floats]) -> list[Fi
 
 def _contradicts(answer: _Answer) -> bool:
     """Whether the plate is not the one whose sizes were learned: they were pulled far, or its characters called wild."""
-    blurred = np.sqrt(answer.known.covariance.diagonal() + answer.bias)
+    blurred = np.sqrt((answer.known.covariance + answer.bias).diagonal())
     pulled = float(np.max(np.abs(answer.fit.x[POSE:] - answer.known.mean) / blurred))
     return pulled > _MISFIT_SIGMAS or answer.fit.rejected > 0.5
 

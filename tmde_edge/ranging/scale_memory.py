@@ -42,13 +42,13 @@ class TrackScale:
 
 
 def learn(known: Sizes, bias: Floats, fitted_mean: Floats, fitted_covariance: Floats, share: float) -> Sizes:
-    """Sizes after one frame whose fit saw `known` blurred by a per-frame bias of variance `bias` (m,).
+    """Sizes after one frame whose fit saw `known` blurred by a per-frame bias of covariance `bias` (m, m).
 
     Only `share` of the frame's information counts: neighbouring frames repeat the same errors. With S known, B the
     bias and C the fit's posterior of the blurred sizes: S' = S - G (S + B - C') G^T, G = S (S + B)^-1, where C' holds
     the shared information, C'^-1 = (S + B)^-1 + share (C^-1 - (S + B)^-1).
     """
-    blurred = known.covariance + np.diag(bias)
+    blurred = known.covariance + bias
     before = np.linalg.inv(blurred)
     # A frame whose fit was widened (residuals larger than stated) may know less than we do; it never takes knowledge away,
     # or the sizes would drift out of their legal tolerance. Whitened, every direction keeps at least the information 1.

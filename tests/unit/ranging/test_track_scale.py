@@ -112,11 +112,11 @@ def test_the_track_decides_the_sign_of_the_heading() -> None:
 
 def test_learning_everything_is_bayes_and_learning_nothing_keeps_the_prior() -> None:
     prior = Sizes(np.zeros(2), np.diag([0.05**2, 0.01**2]))
-    bias = np.array([0.002**2, 0.001**2])
+    bias = np.diag([0.002**2, 0.001**2])
     # One measurement of the difference of both sizes.
     h = np.array([[1.0, -1.0]])
     z, r = 0.04, 0.004
-    blurred = prior.covariance + np.diag(bias)
+    blurred = prior.covariance + bias
     gain = blurred @ h.T / (h @ blurred @ h.T + r**2)
     mean, cov = (gain * z).ravel(), blurred - gain @ h @ blurred
     whole = learn(prior, bias, mean, cov, 1.0)
