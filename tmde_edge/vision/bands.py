@@ -18,6 +18,7 @@ from tmde_edge.vision.rectify import bounds, size_px
 Array = NDArray[np.float64]
 LEAST_BLUE = 30.0  # grey levels over the ground's own blueness, and over half of the band's beyond it
 WIDTH_PX = (2.0, 0.09, 0.65)  # of a band: at least so many pixels, and of the plate's height at least and at most
+LOW_PX, LOW_LEAST_BLUE, LOW_WIDTH_PX = 7.0, 20.0, 1.0  # on plates lower than that a band is 1.5 to 3 px wide, and blur pales it
 INSIDE, OUTSIDE = 0.9, 0.75  # sampled so far into the plate and out of it, in plate heights
 ROWS, STEPS = 15, 56
 
@@ -86,7 +87,8 @@ def _band_end(patch: NDArray[np.float32], a: Array, b: Array, height_px: float) 
     ground = max(0.0, float(np.sort(profile[: STEPS // 3])[STEPS // 9]))  # a yellow ground makes anything look blue
     top = int(profile.argmax())
     strength = float(profile[top]) - ground
-    if strength < 2 * LEAST_BLUE:
+    low = height_px < LOW_PX
+    if strength < 2 * (LOW_LEAST_BLUE if low else LEAST_BLUE):
         return None
     half = ground + strength / 2
     begin, end = top, top
@@ -96,7 +98,8 @@ def _band_end(patch: NDArray[np.float32], a: Array, b: Array, height_px: float) 
         end += 1
     step = float(across[1] - across[0])
     width_px = (end - begin + 1) * step
-    if begin == 0 or end == STEPS - 1 or width_px < WIDTH_PX[0] or not WIDTH_PX[1] < width_px / height_px < WIDTH_PX[2]:
+    least_px = LOW_WIDTH_PX if low else WIDTH_PX[0]
+    if begin == 0 or end == STEPS - 1 or width_px < least_px or not WIDTH_PX[1] < width_px / height_px < WIDTH_PX[2]:
         return None  # a blue ground, a blue body, or a mark
     if across[end] < -0.25 * height_px:  # inside the plate: a picture or a print
         return None

@@ -105,6 +105,41 @@ def test_a_blue_body_a_yellow_plate_and_a_picture_are_no_bands():
     assert np.array_equal(with_bands(image, true, 1.0).corners_px, true)
 
 
+def _low(band_bgr, body_bgr, ground_bgr=(236, 240, 240)):
+    """A plate of 24 x 5.3 px whose right 2 px are a band, as a camera sees it; shrunk from eight times the size."""
+    big = np.full((160, 480, 3), body_bgr, np.float32)
+    big[56:98, 120:312] = ground_bgr
+    big[56:98, 296:312] = band_bgr
+    big[66:88, 150:286:14] = big[66:88, 152:286:14] = 25
+    image = cv2.GaussianBlur(cv2.resize(big, (60, 20), interpolation=cv2.INTER_AREA), (0, 0), 0.55)
+    return image.astype(np.uint8), np.array([[14.5, 6.5], [38.5, 6.5], [38.5, 11.75], [14.5, 11.75]])
+
+
+@pytest.mark.parametrize("body", [(38, 38, 36), (50, 40, 150), (112, 116, 120)])
+def test_a_low_plates_blue_band_belongs_to_it(body):
+    image, true = _low((160, 60, 10), body)
+    inner = true - np.array([[0, 0], [2, 0], [2, 0], [0, 0]])
+    banded = with_bands(image, inner, 0.5)
+    assert banded.right
+    assert not banded.left
+    assert np.abs(banded.corners_px - true).max() < 0.4
+
+
+@pytest.mark.parametrize(
+    ("band", "body", "ground"),
+    [
+        ((236, 240, 240), (150, 60, 20), (236, 240, 240)),  # a blue body
+        ((40, 190, 240), (50, 40, 150), (40, 190, 240)),  # a yellow plate
+        ((236, 240, 240), (38, 38, 36), (236, 240, 240)),
+    ],
+)
+def test_a_low_plate_without_a_band_keeps_its_corners(band, body, ground):
+    image, true = _low(band, body, ground)
+    noisy = np.clip(image + np.random.default_rng(3).normal(0, 3, image.shape), 0, 255).astype(np.uint8)
+    for given in (true, true - np.array([[0, 0], [1, 0], [1, 0], [0, 0]])):
+        assert np.array_equal(with_bands(noisy, given, 0.5).corners_px, given)
+
+
 def test_small_print_inside_the_edge_is_not_the_edge():
     image = np.full((140, 240), 40, np.uint8)
     image[30:105, 40:190] = 230

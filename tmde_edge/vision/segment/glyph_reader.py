@@ -11,6 +11,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from tmde_edge.vision.bands import with_bands
 from tmde_edge.vision.protocols import CharacterBox, Image, PlateCandidate, PlateReading
 from tmde_edge.vision.rectify import apply_homography, is_convex, size_px, steadied
 from tmde_edge.vision.refine import OutlineFit, refine_outline
@@ -32,6 +33,7 @@ INKED_SAMPLES = 16  # rows of a character that are looked at
 INKED_SURE = 0.8  # the network's score
 QUICK_ROWS = 60  # of a rectified plate in a hurried frame: heights of characters come out as well as from 100 (rendered stills)
 REFINE_HEIGHT_PX = 7.0  # on lower plates border, margin and lettering run into one another: the network knows better
+LOW_BAND_SLACK_PX = 0.5  # but for a blue band at an end that it leaves out by more than this: it sees grey only
 
 
 class GlyphNetwork(Protocol):
@@ -64,7 +66,7 @@ class GlyphReader:
         given = OutlineFit(corners_px=corners, sigma_px=given_sigma, refined=False, blur_px=None)
         if reading.platehood < self._settings.platehood_min or not is_convex(reading.corners_px):
             return _plain(given, reading)
-        if hurried:
+        if hurried and size_px(given.corners_px)[1] >= REFINE_HEIGHT_PX:
             fit = replace(given, refined=True)  # the network's corners, with their own sigma
         else:
             fit = self._outline(image, given, reading.light_on_dark)
@@ -101,9 +103,12 @@ class GlyphReader:
         )
 
     def _outline(self, image: Image, given: OutlineFit, light_on_dark: bool) -> OutlineFit:
-        """The image's own edges where they agree with the network's corners; else those corners."""
+        """The image's own edges where they agree with the network's corners; else those corners, blue bands taken in."""
         if size_px(given.corners_px)[1] < REFINE_HEIGHT_PX:
-            return replace(given, refined=True)
+            if light_on_dark or not self._settings.refine:
+                return replace(given, refined=True)
+            banded = with_bands(image, given.corners_px, LOW_BAND_SLACK_PX)
+            return replace(given, corners_px=banded.corners_px, refined=True)
         if not self._settings.refine:
             return given
         fit = refine_outline(image, given.corners_px, given.sigma_px, light_on_dark)

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from scenes import plate_still
 
+from tmde_edge.simulation.stills import render_still
+from tmde_edge.simulation.vehicle import Body
 from tmde_edge.vision.protocols import PlateCandidate
 from tmde_edge.vision.segment.glyph_decode import Glyph, GlyphReading
 from tmde_edge.vision.segment.glyph_reader import GlyphReader
@@ -101,6 +103,30 @@ def test_small_plates_keep_the_networks_corners_and_believe_them_less():
     assert reading.refined
     assert 0.4 < reading.corners_sigma_px < 0.7
     assert np.abs(reading.corners_px - still.corners_px).max() < 0.1
+
+
+class BandLeftOut(Network):
+    """Sees grey only: the second band of a French plate is body to it."""
+
+    def read(self, image, corners_px):
+        reading = super().read(image, corners_px)[0]
+        corners = reading.corners_px.copy()
+        corners[1:3] += 0.077 * (corners[[0, 3]] - corners[1:3])  # 40 of 520 mm
+        return [replace(reading, corners_px=corners)]
+
+
+@pytest.mark.parametrize("hurried", [False, True])
+def test_small_plates_have_their_second_blue_band(hurried):
+    dark = Body(kind="sedan", colour_bgr=(40.0, 38.0, 36.0), plate_up_m=0.8)
+    still = render_still("fr-1", width_px=30, body=dark, scenery=False)
+    candidate = PlateCandidate(corners_px=still.corners_px, score=0.9, hurried=hurried)
+    off = {}
+    for refine in (True, False):
+        reader = GlyphReader(BandLeftOut(still, sigma_px=0.3), SegmenterSettings(refine=refine))
+        corners = reader.read(still.image, [candidate])[0].corners_px
+        off[refine] = np.abs(corners - still.corners_px).max()
+    assert off[False] > 2
+    assert off[True] < 0.6
 
 
 def test_what_is_no_plate_is_not_measured():
