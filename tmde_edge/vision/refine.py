@@ -12,7 +12,7 @@ from tmde_edge.vision.bands import with_bands
 from tmde_edge.vision.edge_line import Side
 from tmde_edge.vision.edge_model import EdgeFit, fit_edges
 from tmde_edge.vision.edge_profiles import STEP_PX, Array, grey_patch, outward_normal
-from tmde_edge.vision.edge_steps import BORDER_OF_HEIGHT, Tried, look_across, steps_of, up_to_valley
+from tmde_edge.vision.edge_steps import BORDER_OF_HEIGHT, SAME_STEP_PX, Tried, look_across, steps_of, up_to_valley
 from tmde_edge.vision.protocols import Image
 from tmde_edge.vision.rectify import bounds, is_convex, size_px
 
@@ -25,6 +25,8 @@ LEFT_OUT_COST = 6.0  # of a step that explains only what lies before the next ri
 LOW_SIGMA_PX, LOW_HEIGHT_PX = 0.2, 10.0  # of a low plate's edges, which blur joins to lettering and border
 MIN_REACH_PX = 2.5
 MOVED_SIGMAS = 4.0  # a side further than this from the given outline is another edge
+NO_LINE_PX = 0.1  # thinner is none
+ODD_SIDE = 0.2  # chance that a side shows no border line though the plate has one, or something like one though it has none
 REACH_OF_HEIGHT = 0.13  # how far from the given outline an edge is looked for, in plate heights
 SAMPLES = 32  # of a profile on either side of the given outline
 TILT_OF_HEIGHT = 0.12  # how much the two ends of a side may move against each other
@@ -154,7 +156,13 @@ def _fit_sides(
         for t, both in zip(tried, fits, strict=True):
             here[t.i] += [(t, fit) for fit in (both[:1] if t.to_valley else both)]
     low_px = LOW_SIGMA_PX * (LOW_HEIGHT_PX / height_px) ** 2
-    return [_chosen(found, given_sigma_px, low_px) if found else None for found in here]
+    costs = [_costs(found, given_sigma_px) for found in here]
+    odds = [_lined_cost(found, cost) for found, cost in zip(here, costs, strict=True)]
+    total = sum(odds)
+    return [
+        _chosen(found, cost + _unlike_others(found, total - own), low_px) if found else None
+        for found, cost, own in zip(here, costs, odds, strict=True)
+    ]
 
 
 def _good(fit: EdgeFit, given_sigma_px: float) -> bool:
@@ -162,12 +170,44 @@ def _good(fit: EdgeFit, given_sigma_px: float) -> bool:
     return fit.misfit < GOOD_MISFIT and abs(fit.line_off) < 1.5 and abs(fit.x_px) < 2 * given_sigma_px
 
 
-def _chosen(tried: list[tuple[Tried, EdgeFit]], given_sigma_px: float, low_px: float) -> Side:
-    """The most credible of a side's fits; what the others say about the place is part of its sigma."""
+def _costs(tried: list[tuple[Tried, EdgeFit]], given_sigma_px: float) -> Array:
+    """-2 log credibility (n,) of a side's fits, by themselves."""
     misfit = np.array([MISFIT_COST * np.log(max(f.misfit, LEAST_MISFIT)) for _, f in tried])
     blind = np.array([LEFT_OUT_COST * t.to_valley for t, _ in tried])
-    line = np.array([0.5 * f.line_off**2 + (BAND_LINE_COST if t.band and f.thickness_px > 0.1 else 0.0) for t, f in tried])
-    cost = misfit + blind + line + np.array([(f.x_px / given_sigma_px) ** 2 for _, f in tried])
+    line = np.array([0.5 * f.line_off**2 + (BAND_LINE_COST if t.band and f.thickness_px > NO_LINE_PX else 0.0) for t, f in tried])
+    return np.asarray(misfit + blind + line + np.array([(f.x_px / given_sigma_px) ** 2 for _, f in tried]), np.float64)
+
+
+def _lined(tried: list[tuple[Tried, EdgeFit]]) -> NDArray[np.bool_]:
+    """Which fits (n,) are of a plate with a border line: the line's own, and a step where such a one from farther in ends."""
+    ends = [(t, f.x_px) for t, f in tried if f.thickness_px > NO_LINE_PX]
+    return np.array([
+        f.thickness_px > NO_LINE_PX or any(t is not other and abs(f.x_px - x) < SAME_STEP_PX for other, x in ends)
+        for t, f in tried
+    ], np.bool_)  # fmt: skip
+
+
+def _lined_cost(tried: list[tuple[Tried, EdgeFit]], cost: Array) -> float:
+    """-2 log of the odds that a side gives a plate with a border line; 0 beside a band, and where one kind only was tried."""
+    lined = _lined(tried)
+    if not lined.any() or lined.all() or tried[0][0].band:
+        return 0.0
+    with_line, without = np.exp(-0.5 * (cost[lined].min() - cost.min())), np.exp(-0.5 * (cost[~lined].min() - cost.min()))
+    other = ODD_SIDE * (with_line + without)
+    return float(-2 * np.log((with_line + other) / (without + other)))
+
+
+def _unlike_others(tried: list[tuple[Tried, EdgeFit]], lined_cost: float) -> Array:
+    """Cost (n,) of a side's fits by the other sides' odds: a plate has a border line all round or none; a frame hides some."""
+    if tried[0][0].band:
+        return np.zeros(len(tried))
+    share = 1 / (1 + np.exp(np.clip(0.5 * lined_cost, -30.0, 30.0)))  # of belief that the plate has a line
+    lined = _lined(tried)
+    return np.asarray(-2 * np.log(ODD_SIDE + (1 - 2 * ODD_SIDE) * np.where(lined, share, 1 - share)), np.float64)
+
+
+def _chosen(tried: list[tuple[Tried, EdgeFit]], cost: Array, low_px: float) -> Side:
+    """The most credible of a side's fits; what the others say about the place is part of its sigma."""
     k = int(cost.argmin())
     weight = np.exp(-0.5 * np.minimum(cost - cost[k], 60.0))
     weight /= weight.sum()

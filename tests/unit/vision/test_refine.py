@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 from scenes import plate_still
 
 from tmde_edge.vision.bands import with_bands
-from tmde_edge.vision.edge_model import fit_edges
-from tmde_edge.vision.edge_steps import first_step
-from tmde_edge.vision.refine import refine_outline
+from tmde_edge.vision.edge_model import EdgeFit, fit_edges
+from tmde_edge.vision.edge_steps import Tried, first_step
+from tmde_edge.vision.refine import _lined_cost, _unlike_others, refine_outline
 
 
 def _nudged(corners, width_px, seed):
@@ -200,3 +202,28 @@ def test_model_finds_the_edge_behind_an_unresolved_border():
     assert border.misfit < 0.2 * without.misfit
     assert border.x_px == pytest.approx(0.0, abs=0.1)
     assert border.thickness_px == pytest.approx(2.0, abs=0.3)
+
+
+def _tried(plain_cost, lined_cost):
+    """A step's fits without and with a border line, and what each costs by itself."""
+    step = Tried(
+        i=0, side=None, profile=np.zeros(3), start_px=0.0, inner_px=-1.0, outer_px=1.0, text_px=float("nan"), valley_px=None,
+    )  # fmt: skip
+    fit = EdgeFit(x_px=0.0, sigma_px=0.1, spread_px=0.6, thickness_px=0.0, misfit=1.0, line_off=0.0)
+    return [(step, fit), (step, replace(fit, x_px=0.8, thickness_px=0.5))], np.array([plain_cost, lined_cost])
+
+
+@pytest.mark.parametrize(
+    ("own", "others", "lined"), [(-1.0, -8.0, True), (-1.0, 8.0, False), (1.0, 8.0, False), (-6.0, -8.0, False)]
+)
+def test_a_side_that_is_in_doubt_about_its_border_line_follows_the_others(own, others, lined):
+    """own: by how much the plain step is the better one; others: the odds of the other sides, -2 log."""
+    tried, cost = _tried(own, 0.0)
+    total = cost + _unlike_others(tried, others)
+    assert bool(total.argmin() == 1) == lined
+
+
+def test_odds_of_a_side_are_bounded():
+    for cost in (-50.0, 50.0):
+        tried, costs = _tried(cost, 0.0)
+        assert abs(_lined_cost(tried, costs)) == pytest.approx(2 * np.log(1.2 / 0.2))
