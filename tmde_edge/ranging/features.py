@@ -34,6 +34,7 @@ class Features:
     corner_ok: Bools
     corner_sigma: float
     side_sigma: Floats  # (4,) of the top, right, bottom and left line
+    by_side: bool  # each side was measured as a line of its own
     refined: bool
     centre: Floats  # (2,) of the plate
     top: Floats
@@ -129,7 +130,8 @@ def gather(plate: PlateSighting, camera: Camera, view_from_vehicle: Floats) -> F
     return Features(
         focal_px=focal, side_sigma=np.maximum(sides, 0.02) / focal,
         corners=corners, corner_ok=corner_ok, corner_sigma=max(plate.corners_sigma_px, 0.02) / focal,
-        refined=plate.refined, centre=centre, top=edges[:, 0], bottom=edges[:, 1], left=edges[:, 2], right=edges[:, 3],
+        by_side=len(plate.side_sigma_px) == 4, refined=plate.refined, centre=centre,
+        top=edges[:, 0], bottom=edges[:, 1], left=edges[:, 2], right=edges[:, 3],
         sigma_tb=sigma_tb * doubt, doubt=doubt,
         sigma_lr=np.array([max(g.sigma_lr_px, 0.02) / focal for g in glyphs]),
         row=rows, runs=_runs((edges[:, 2] + edges[:, 3]) / 2, rows), stroke=_norm(plate.stroke_px, focal),

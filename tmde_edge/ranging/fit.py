@@ -30,6 +30,9 @@ _WILD = 5.0  # sigmas
 _MOST_LENIENCE = 80.0  # cost
 _NEW_IN_A_FRAME = 0.2  # share of the variance of errors common to one frame: most of it is the text's shapes, which stay
 _PRIOR_DOF = 6.0  # residuals worse than stated must show on more than a few features before the noise is scaled
+# How many times its stated sigma a side's tilt errs (1.6 to 2.1 rms at 80 to 120 px on rendered stills, with long tails).
+_TILT_DOUBT = 3.0
+_FIRST, _SECOND, _ACROSS = np.array([0, 1, 3, 0]), np.array([1, 2, 2, 3]), np.array([1, 0, 1, 0])  # corners of a side, its y or x
 _SIGNS = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
 
 
@@ -123,6 +126,8 @@ class _Problem:
         self.f, self.m = features, model
         self.corner = np.flatnonzero(features.corner_ok)
         self.corners_sigma = features.corners_sigma[self.corner]
+        self.sides = features.by_side and len(self.corner) == 4
+        self.sides_sigma = 2**0.5 * features.side_sigma[:, None] * np.array([1.0, _TILT_DOUBT])
         self.glyph = np.flatnonzero(model.glyph_class >= 0)
         self.k = len(model.class_height_m)
         self.classes = model.glyph_class[self.glyph]
@@ -143,7 +148,7 @@ class _Problem:
         return found
 
     def residuals(self, x: Floats) -> Floats:
-        """Residuals in sigmas for a batch (b, p) -> (b, m): corners (x, y each), glyph heights, pitch of each run."""
+        """Residuals in sigmas for a batch (b, p) -> (b, m): corners (x, y each) or sides, glyph heights, pitch of each run."""
         n, k = len(x), self.k
         right, down, away = axes(x[:, :3])
         size = np.exp(x[:, LOG_D:])  # distance, classes, width, height, pitch
@@ -154,7 +159,12 @@ class _Problem:
         spans[:, 0] = right * (self.m.width_m * size[:, k + 1 : k + 2] / distance)
         spans[:, 1] = down * (self.m.height_m * size[:, k + 2 : k + 3] / distance)
         points = _SIGNS[self.corner] @ spans + centre[:, None, :]
-        corners = (points[:, :, :2] / points[:, :, 2:] - self.f.corners[self.corner]) / self.corners_sigma
+        off = points[:, :, :2] / points[:, :, 2:] - self.f.corners[self.corner]
+        if self.sides:  # place and tilt of each: (n, 4, 2)
+            a, b = off[:, _FIRST, _ACROSS], off[:, _SECOND, _ACROSS]
+            corners = np.stack([a + b, b - a], axis=2) / self.sides_sigma
+        else:
+            corners = off / self.corners_sigma
         # Depth of the plane along a glyph's ray, then the image of one metre of its height across its row's direction.
         lift = np.sum(away * centre, axis=1, keepdims=True) * distance
         mx, my = self.middle[:, 0], self.middle[:, 1]
@@ -183,7 +193,7 @@ class _Problem:
         if not np.isfinite(r).all():
             return None
         now = r[0]
-        # Cauchy: a corner's two coordinates are one observation, they share its weight.
+        # Cauchy: a corner's two coordinates, or a side's place and tilt, are one observation: they share its weight.
         c = 2 * len(self.corner)
         squares = now * now
         pairs = squares[:c].reshape(-1, 2).sum(axis=1)

@@ -311,6 +311,15 @@ def test_each_side_of_the_outline_is_believed_as_far_as_it_was_seen() -> None:
     assert off[1] < 0.9 * off[0]
 
 
+def test_crooked_short_sides_do_not_turn_the_plate() -> None:
+    """Lettering tilts the short sides by a pixel between their ends; all sizes still say 6.07 m."""
+    straight = replace(sighting(STANDARDS["ru-1"], distance_m=6.07, glyph_sigma=0.1), side_sigma_px=(0.2,) * 4)
+    tl, tr, br, bl = straight.corners_px
+    bent = ((tl[0] + 0.5, tl[1] - 0.25), (tr[0] + 0.5, tr[1] + 0.25), (br[0] - 0.5, br[1] - 0.25), (bl[0] - 0.5, bl[1] + 0.25))
+    a, b = (ranged(ranger("ru-1"), p) for p in (straight, replace(straight, corners_px=bent)))
+    assert abs(b.distance_m / a.distance_m - 1) < 0.005
+
+
 def test_cues_that_contradict_each_other_widen_the_sigma() -> None:
     """Characters that say 4 % farther than the outline: one of the sizes is wrong, and nobody knows which."""
     agree = sighting(STANDARDS["ru-1"], distance_m=6.0, glyph_sigma=0.05, corner_sigma=0.1)
