@@ -32,7 +32,7 @@ _NEW_IN_A_FRAME = 0.2  # share of the variance of errors common to one frame: mo
 _PRIOR_DOF = 6.0  # residuals worse than stated must show on more than a few features before the noise is scaled
 # How many times its stated sigma a side's tilt errs (1.6 to 2.1 rms at 80 to 120 px on rendered stills, with long tails).
 _TILT_DOUBT = 3.0
-_FIRST, _SECOND, _ACROSS = np.array([0, 1, 3, 0]), np.array([1, 2, 2, 3]), np.array([1, 0, 1, 0])  # corners of a side, its y or x
+_SIDES = ((0, 1, 1), (1, 2, 0), (3, 2, 1), (0, 3, 0))  # top, right, bottom, left: two corners, and which of x and y is across
 _SIGNS = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
 
 
@@ -125,9 +125,13 @@ class _Problem:
     def __init__(self, features: Features, model: Model) -> None:
         self.f, self.m = features, model
         self.corner = np.flatnonzero(features.corner_ok)
-        self.corners_sigma = features.corners_sigma[self.corner]
-        self.sides = features.by_side and len(self.corner) == 4
-        self.sides_sigma = 2**0.5 * features.side_sigma[:, None] * np.array([1.0, _TILT_DOUBT])
+        self.whiten = np.diag(1 / features.corners_sigma[self.corner].ravel())
+        if features.by_side and len(self.corner) == 4:
+            self.whiten = np.zeros((8, 8))
+            for side, (a, b, xy) in enumerate(_SIDES):
+                place, tilt = 2**-0.5 / features.side_sigma[side], 2**-0.5 / (_TILT_DOUBT * features.side_sigma[side])
+                self.whiten[[2 * a + xy, 2 * b + xy], 2 * side] = place
+                self.whiten[[2 * a + xy, 2 * b + xy], 2 * side + 1] = -tilt, tilt
         self.glyph = np.flatnonzero(model.glyph_class >= 0)
         self.k = len(model.class_height_m)
         self.classes = model.glyph_class[self.glyph]
@@ -160,11 +164,7 @@ class _Problem:
         spans[:, 1] = down * (self.m.height_m * size[:, k + 2 : k + 3] / distance)
         points = _SIGNS[self.corner] @ spans + centre[:, None, :]
         off = points[:, :, :2] / points[:, :, 2:] - self.f.corners[self.corner]
-        if self.sides:  # place and tilt of each: (n, 4, 2)
-            a, b = off[:, _FIRST, _ACROSS], off[:, _SECOND, _ACROSS]
-            corners = np.stack([a + b, b - a], axis=2) / self.sides_sigma
-        else:
-            corners = off / self.corners_sigma
+        corners = off.reshape(n, -1) @ self.whiten
         # Depth of the plane along a glyph's ray, then the image of one metre of its height across its row's direction.
         lift = np.sum(away * centre, axis=1, keepdims=True) * distance
         mx, my = self.middle[:, 0], self.middle[:, 1]
@@ -174,7 +174,7 @@ class _Problem:
         height = (self.m.class_height_m * size[:, 1 : k + 1])[:, self.classes] / depth
         expected = height * (row_x * up_y - row_y * up_x) - (row_x * self.stem[:, 1] - row_y * self.stem[:, 0])
         heights = expected / (np.sqrt(row_x * row_x + row_y * row_y) * self.stem_sigma)
-        parts = [corners.reshape(n, -1), heights]
+        parts = [corners, heights]
         pitch = self.m.pitch_m * size[:, k + 3]
         for centres, sigma, weights in self.runs:
             depth = lift / (away[:, :2] @ centres.T + away[:, 2:])
