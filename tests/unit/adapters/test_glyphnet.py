@@ -11,6 +11,10 @@ import pytest
 from tmde_edge.adapters.detectors.glyphnet import MODEL_FILE, GlyphNet
 from tmde_edge.errors import ModelError
 from tmde_edge.simulation.plate_face import FaceSpec, GlyphSpec, render_face
+from tmde_edge.simulation.stills import render_still
+from tmde_edge.vision.protocols import PlateCandidate
+from tmde_edge.vision.segment.glyph_reader import GlyphReader
+from tmde_edge.vision.settings import SegmenterSettings
 
 
 @pytest.fixture(scope="module")
@@ -77,6 +81,25 @@ def test_colour_and_grey_give_the_same_reading_and_a_batch_equals_single_reads(n
     np.testing.assert_allclose(grey[0].corners_px, colour[0].corners_px, atol=0.02)
     np.testing.assert_allclose(grey[1].corners_px, single[0].corners_px, atol=0.02)
     assert grey[0].platehood > 0.5 > grey[1].platehood
+
+
+def test_a_small_plate_that_is_followed_keeps_its_height(network: GlyphNet) -> None:
+    """Each look is given what the look before made of the plate: an error must not feed itself (0.3 px too tall before)."""
+    reader = GlyphReader(network, SegmenterSettings())
+    tall_px = []
+    for standard in ("de-mittel", "fr-1", "us-mi", "gb-2001", "ro-1"):
+        for seed in range(4):
+            still = render_still(standard, width_px=19.0 + seed, seed=seed, scenery=False)
+            corners = still.corners_px
+            for _ in range(4):
+                reading = reader.read(still.image, [PlateCandidate(corners_px=corners, score=0.9)])[0]
+                corners = reading.corners_px
+            tall_px.append(_height_px(corners) - _height_px(still.corners_px))
+    assert abs(np.median(tall_px)) < 0.15
+
+
+def _height_px(corners: np.ndarray) -> float:
+    return float(np.mean(np.hypot(*(corners[[3, 2]] - corners[[0, 1]]).T)))
 
 
 def test_no_candidates_no_readings_and_corners_without_area_are_no_plate(network: GlyphNet) -> None:
