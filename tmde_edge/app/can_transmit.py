@@ -17,6 +17,7 @@ from typing import Any
 import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
+from tmde_edge.adapters.can_ports.serial_blocks import open_bus
 from tmde_edge.adapters.can_ports.serial_hold import hold_serial
 from tmde_edge.canbus.j1939 import PGN_ACC1, PGN_AEBS1, PRIORITY, j1939_id
 from tmde_edge.canbus.settings import CanSettings
@@ -81,7 +82,7 @@ def listen(
     held: int | None = None
     try:
         held = hold_serial(settings.channel) if settings.interface == "slcan" else None
-        with can.Bus(**options) as bus:
+        with open_bus(options) as bus:
             start_s = time.monotonic()
             told_s = start_s
             while (now_s := time.monotonic()) - start_s < seconds:

@@ -6,14 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tmde_edge.ranging.features import Features
-from tmde_edge.ranging.fit import LOG_D, POSE, ROLL, Fit, Model, U, V, axes
+from tmde_edge.ranging.fit import LOG_D, POSE, ROLL, Fit, Model, U, V, axes, corners_of
 
 Floats = NDArray[np.float64]
 
 _MUCH_WEAKER = 3.0  # sigmas of all together: a cue less sure than that cannot contradict, and must not count as one that agrees
 _OF_MEDIAN = 1.57  # variance of a median over that of a mean
 _UNSEEN = 1e-2  # information about a size that nothing shows
-_SIGNS = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
 
 
 def scale_factor(features: Features, model: Model, fit: Fit) -> float:
@@ -39,7 +38,8 @@ def scale_factor(features: Features, model: Model, fit: Fit) -> float:
         each = 2 * (features.sigma_tb[used] / heights) ** 2 + model.glyph_jitter**2
         noise.append(_OF_MEDIAN * float(each.mean()) / len(used))
         of_size.append(np.bincount(classes, minlength=k + 3) / len(used))
-    corners = _corners(model, x)
+    right, down, _ = axes(x[None, : ROLL + 1])
+    corners = corners_of(model, x[None], right, down)[0]
     for place, seen, expected, sigma in (
         (k, features.width, features.width_of(corners), features.width_sigma),
         (k + 1, features.height, features.height_of(corners), features.height_sigma),
@@ -82,11 +82,3 @@ def _heights(features: Features, model: Model, x: Floats, used: NDArray[np.int64
     a, b = middle * depth[:, None] - half, middle * depth[:, None] + half
     return np.asarray(np.sqrt(np.sum((a[:, :2] / a[:, 2:] - b[:, :2] / b[:, 2:]) ** 2, axis=1)), dtype=np.float64)
 
-
-def _corners(model: Model, x: Floats) -> Floats:
-    """The plate's corners (4, 2) in the image at x (p,)."""
-    right, down, _ = axes(x[None, : ROLL + 1])
-    k = len(model.class_height_m)
-    width, height = np.exp(x[POSE + k : POSE + k + 2] - x[LOG_D]) * (model.width_m, model.height_m)
-    points = _SIGNS @ np.concatenate([right * width, down * height]) + np.array([x[U], x[V], 1.0])
-    return np.asarray(points[:, :2] / points[:, 2:], dtype=np.float64)

@@ -159,11 +159,7 @@ class _Problem:
         distance = size[:, :1]
         centre = np.ones((n, 3))
         centre[:, :2] = x[:, U : V + 1]
-        spans = np.empty((n, 2, 3))
-        spans[:, 0] = right * (self.m.width_m * size[:, k + 1 : k + 2] / distance)
-        spans[:, 1] = down * (self.m.height_m * size[:, k + 2 : k + 3] / distance)
-        points = _SIGNS[self.corner] @ spans + centre[:, None, :]
-        off = points[:, :, :2] / points[:, :, 2:] - self.f.corners[self.corner]
+        off = corners_of(self.m, x, right, down)[:, self.corner] - self.f.corners[self.corner]
         corners = off.reshape(n, -1) @ self.whiten
         # Depth of the plane along a glyph's ray, then the image of one metre of its height across its row's direction.
         lift = np.sum(away * centre, axis=1, keepdims=True) * distance
@@ -253,6 +249,18 @@ class _Problem:
             glyphs_used=len(self.glyph), corners_used=len(self.corner), pitch_used=bool(self.runs), rejected=state.rejected,
             strain=strain,
         )
+
+
+def corners_of(model: Model, x: Floats, right: Floats, down: Floats) -> Floats:
+    """Corners (b, 4, 2) TL, TR, BR, BL of the plate in the image, at x (b, p) whose axes are right and down."""
+    k = len(model.class_height_m)
+    size = np.exp(x[:, POSE + k : POSE + k + 2] - x[:, LOG_D : LOG_D + 1])
+    centre, spans = np.ones((len(x), 1, 3)), np.empty((len(x), 2, 3))
+    centre[:, 0, :2] = x[:, U : V + 1]
+    spans[:, 0], spans[:, 1] = right * (model.width_m * size[:, :1]), down * (model.height_m * size[:, 1:])
+    points = _SIGNS @ spans + centre
+    out: Floats = points[:, :, :2] / points[:, :, 2:]
+    return out
 
 
 def axes(angles: Floats) -> tuple[Floats, Floats, Floats]:

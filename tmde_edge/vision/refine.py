@@ -157,11 +157,12 @@ def _fit_sides(
             here[t.i] += [(t, fit) for fit in (both[:1] if t.to_valley else both)]
     low_px = LOW_SIGMA_PX * (LOW_HEIGHT_PX / height_px) ** 2
     costs = [_costs(found, given_sigma_px) for found in here]
-    odds = [_lined_cost(found, cost) for found, cost in zip(here, costs, strict=True)]
+    lined = [_lined(found) for found in here]
+    odds = [_lined_cost(fits, cost) for fits, cost in zip(lined, costs, strict=True)]
     total = sum(odds)
     return [
-        _chosen(found, cost + _unlike_others(found, total - own), low_px) if found else None
-        for found, cost, own in zip(here, costs, odds, strict=True)
+        _chosen(found, cost + _unlike_others(fits, total - own), low_px) if found else None
+        for found, cost, fits, own in zip(here, costs, lined, odds, strict=True)
     ]
 
 
@@ -178,8 +179,13 @@ def _costs(tried: list[tuple[Tried, EdgeFit]], given_sigma_px: float) -> Array:
     return np.asarray(misfit + blind + line + np.array([(f.x_px / given_sigma_px) ** 2 for _, f in tried]), np.float64)
 
 
-def _lined(tried: list[tuple[Tried, EdgeFit]]) -> NDArray[np.bool_]:
-    """Which fits (n,) are of a plate with a border line: the line's own, and a step where such a one from farther in ends."""
+def _lined(tried: list[tuple[Tried, EdgeFit]]) -> NDArray[np.bool_] | None:
+    """Which fits (n,) are of a plate with a border line: the line's own, and a step where such a one from farther in ends.
+
+    None where nothing was tried, and beside a band: that tells nothing of a line.
+    """
+    if not tried or tried[0][0].band:
+        return None
     ends = [(t, f.x_px) for t, f in tried if f.thickness_px > NO_LINE_PX]
     return np.array([
         f.thickness_px > NO_LINE_PX or any(t is not other and abs(f.x_px - x) < SAME_STEP_PX for other, x in ends)
@@ -187,22 +193,20 @@ def _lined(tried: list[tuple[Tried, EdgeFit]]) -> NDArray[np.bool_]:
     ], np.bool_)  # fmt: skip
 
 
-def _lined_cost(tried: list[tuple[Tried, EdgeFit]], cost: Array) -> float:
-    """-2 log of the odds that a side gives a plate with a border line; 0 beside a band, and where one kind only was tried."""
-    lined = _lined(tried)
-    if not lined.any() or lined.all() or tried[0][0].band:
+def _lined_cost(lined: NDArray[np.bool_] | None, cost: Array) -> float:
+    """-2 log of the odds that a side gives a plate with a border line; 0 where it says nothing or one kind only was tried."""
+    if lined is None or not lined.any() or lined.all():
         return 0.0
     with_line, without = np.exp(-0.5 * (cost[lined].min() - cost.min())), np.exp(-0.5 * (cost[~lined].min() - cost.min()))
     other = ODD_SIDE * (with_line + without)
     return float(-2 * np.log((with_line + other) / (without + other)))
 
 
-def _unlike_others(tried: list[tuple[Tried, EdgeFit]], lined_cost: float) -> Array:
+def _unlike_others(lined: NDArray[np.bool_] | None, lined_cost: float) -> Array | float:
     """Cost (n,) of a side's fits by the other sides' odds: a plate has a border line all round or none; a frame hides some."""
-    if tried[0][0].band:
-        return np.zeros(len(tried))
+    if lined is None:
+        return 0.0
     share = 1 / (1 + np.exp(np.clip(0.5 * lined_cost, -30.0, 30.0)))  # of belief that the plate has a line
-    lined = _lined(tried)
     return np.asarray(-2 * np.log(ODD_SIDE + (1 - 2 * ODD_SIDE) * np.where(lined, share, 1 - share)), np.float64)
 
 

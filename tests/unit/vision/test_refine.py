@@ -12,7 +12,7 @@ from scenes import plate_still
 from tmde_edge.vision.bands import with_bands
 from tmde_edge.vision.edge_model import EdgeFit, fit_edges
 from tmde_edge.vision.edge_steps import Tried, first_step
-from tmde_edge.vision.refine import _lined_cost, _unlike_others, refine_outline
+from tmde_edge.vision.refine import _lined, _lined_cost, _unlike_others, refine_outline
 
 
 def _nudged(corners, width_px, seed):
@@ -219,11 +219,11 @@ def _tried(plain_cost, lined_cost):
 def test_a_side_that_is_in_doubt_about_its_border_line_follows_the_others(own, others, lined):
     """own: by how much the plain step is the better one; others: the odds of the other sides, -2 log."""
     tried, cost = _tried(own, 0.0)
-    total = cost + _unlike_others(tried, others)
+    total = cost + _unlike_others(_lined(tried), others)
     assert bool(total.argmin() == 1) == lined
 
 
 def test_odds_of_a_side_are_bounded():
     for cost in (-50.0, 50.0):
         tried, costs = _tried(cost, 0.0)
-        assert abs(_lined_cost(tried, costs)) == pytest.approx(2 * np.log(1.2 / 0.2))
+        assert abs(_lined_cost(_lined(tried), costs)) == pytest.approx(2 * np.log(1.2 / 0.2))

@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from tmde_edge.adapters.can_ports.retry import BackOff, LastingFault
-from tmde_edge.adapters.can_ports.serial_blocks import BlockReader
+from tmde_edge.adapters.can_ports.serial_blocks import open_bus
 from tmde_edge.adapters.can_ports.serial_hold import hold_serial
 from tmde_edge.canbus.settings import CanSettings
 from tmde_edge.messages import CanFrame
@@ -261,8 +261,6 @@ class CanPort:
             os.close(held)
 
     def _open(self) -> Any:
-        import can
-
         s = self._s
         options: dict[str, Any] = {"interface": s.interface, "channel": s.channel}
         if self._wanted:
@@ -278,10 +276,7 @@ class CanPort:
             }
         elif s.interface == "udp_multicast":
             options |= {"hop_limit": 0}  # between processes of this machine; a packet never leaves it
-        bus = can.Bus(**options)
-        if hasattr(bus, "serialPortOrig"):  # slcan
-            bus.serialPortOrig = BlockReader(bus.serialPortOrig)
-        return bus
+        return open_bus(options)
 
     def _shut(self, bus: Any) -> None:
         import can

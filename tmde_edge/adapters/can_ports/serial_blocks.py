@@ -9,6 +9,16 @@ from __future__ import annotations
 from typing import Any
 
 
+def open_bus(options: dict[str, Any]) -> Any:
+    """python-can's bus of these options, a serial one read in blocks. Raises what python-can raises."""
+    import can  # slow to import
+
+    bus = can.Bus(**options)
+    if hasattr(bus, "serialPortOrig"):  # slcan
+        bus.serialPortOrig = BlockReader(bus.serialPortOrig)
+    return bus
+
+
 class BlockReader:
     """A pyserial port whose `read` hands out of what one call of the system brought; all else is the port's own."""
 

@@ -26,7 +26,7 @@ NETWORK_SHARE = 0.6  # in the tops and bottoms of characters up to BOTH_PX high;
 BOTH_PX, CROSSING_ALONE_PX = 13.0, 17.0
 BORDER_HEIGHT_PX = 24.0  # on lower plates no border line is wider than a pixel: nothing to measure
 LOW_PLATE_PX = 5.0  # of plates about so high the network's corners err twice as much as it says (rendered stills)
-# Of low plates the network sees little and leans on the place it was given: a third to a half of an error of that height comes
+# Of low plates the network sees little and leans on the place it was given: a fifth to a half of an error of that height comes
 # back, and 0.2 px too much besides. Followed from look to look both grow. Cut so much lower, heights come out right (drawn stills
 # of ten standards, 18 to 40 px wide).
 CUT_LOWER, CUT_HEIGHT_PX = 0.12, 6.0
