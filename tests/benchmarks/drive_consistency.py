@@ -102,7 +102,7 @@ def drive(name: str, seed: int) -> dict[str, Any]:
         if i % GROWTH_EVERY == 0:
             if anchor is not None:
                 ratio = anchor[1] / lead.distance_m + rng.normal(0, GROWTH)
-                change = ScaleChange(track_id=1, t_from_ns=anchor[0], ratio=ratio, sigma=GROWTH, source="vehicle")
+                change = ScaleChange(track_id=1, t_from_ns=anchor[0], ratio=ratio, sigma=GROWTH)
                 tracker.grow(change, t_ns)
             anchor = (t_ns, lead.distance_m)
         track = tracker.tracks.get(1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Sequence
 from functools import lru_cache
 from importlib import resources
@@ -25,8 +26,12 @@ DEFAULT_SIGMA: dict[Kind, tuple[float, float]] = {
     "border": (0.12, 0.25),
     "hole": (0.005, 0.015),
 }
-# A width the law only bounds ("at most 520") is the usual one but may be shorter: one sigma of what is seen on roads.
-FLOATING_SIGMA = 0.06
+# A width the law only bounds ("at most 520") is the usual one on most vehicles, for plates are made from blanks of few sizes; the
+# others are shorter. The share is a cautious guess, nobody counts them.
+WHOLE_SHARE = 0.85
+# As seen: dark holders hide dark borders (Romanian plates, all of one size, scatter by 3 % on roads, with characters' errors).
+WHOLE_SIGMA = 0.025
+SHORTER, SHORTER_SIGMA = 0.06, 0.06  # log: how much shorter the others are (460 mm is the next German blank: 0.12)
 # Nobody states the limits to the last 0.1 mm of what is stamped: no tolerance is believed tighter than this.
 LEAST_SIGMA = 0.002
 
@@ -88,7 +93,7 @@ class PlateStandard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     source: str
     plate_width: Size | None = None
     plate_height: Size | None = None
-    width_floats: bool = False  # the law bounds the width or lets it be cut: it is no anchor
+    width_floats: bool = False  # the law bounds the width or lets it be cut: most have it whole, the others any
     border: Size | None = None
     border_inset: Size | None = None
     group_gap: Size | None = None
@@ -128,8 +133,19 @@ class PlateStandard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
             return None
         width, sigma = self.plate_width.belief("outline")
         if self.width_floats:
-            sigma = max(sigma, FLOATING_SIGMA * width)
+            kinds = self.width_beliefs()
+            sigma = sum(share * (s**2 + (w - width) ** 2) for share, w, s in kinds) ** 0.5
         return (width, sigma), self.plate_height.belief("outline")
+
+    def width_beliefs(self) -> tuple[tuple[float, float, float], ...]:
+        """(share, width, sigma) in mm of the kinds of width: one; of a width that floats whole ones and shorter ones."""
+        if self.plate_width is None:
+            return ()
+        if not self.width_floats or self.plate_width.mm is None:
+            return ((1.0, *self.plate_width.belief("outline")),)
+        whole = self.plate_width.mm
+        shorter = whole * math.exp(-SHORTER)
+        return (WHOLE_SHARE, whole, WHOLE_SIGMA * whole), (1 - WHOLE_SHARE, shorter, SHORTER_SIGMA * shorter)
 
     def pitch_belief(self) -> tuple[float, float] | None:
         """Centre-to-centre distance of neighbouring main characters and its sigma in mm, or None.

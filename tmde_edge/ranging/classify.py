@@ -10,42 +10,46 @@ import numpy as np
 from tmde_edge.messages import PlateSighting
 from tmde_edge.plates.standard import PlateStandard
 from tmde_edge.ranging.features import Features
-from tmde_edge.ranging.model import Expectation, expectation
+from tmde_edge.ranging.model import Expectation, expectations
 from tmde_edge.ranging.settings import RangingSettings
 
 SAME_SIZE = 0.012  # relative: nearer standards are one class
+SHORTER_NAME = " shorter"  # behind the id of a standard whose width floats: the class of its shorter plates
 _WRONG_COLOUR, _WRONG_ROWS = -3.0, -2.0
 _TILT_SIGMA, _YAW_SLACK = 0.03, 0.10  # log aspect: lean and noise; a turned plate looks narrower
 
 
 @dataclass(frozen=True, slots=True)
 class StandardClass:
-    """Standards that no measurement can tell apart, by the most common of them."""
+    """Standards that no measurement can tell apart, by the most common of them; shorter plates of one are a class too."""
 
+    id: str
     expected: Expectation
     members: tuple[PlateStandard, ...]
 
     @property
-    def id(self) -> str:
-        return self.expected.standard.id
-
-    @property
     def weight(self) -> float:
-        return sum(m.weight for m in self.members)
+        return self.expected.weight * sum(m.weight for m in self.members)
 
 
 def classes(standards: Sequence[PlateStandard], settings: RangingSettings) -> tuple[StandardClass, ...]:
     """Groups of equal geometry, the most common standard of each group first."""
     groups: list[tuple[Expectation, list[PlateStandard]]] = []
     for standard in sorted(standards, key=lambda s: -s.weight):
-        expected = expectation(standard, settings)
-        for leader, members in groups:
-            if _same(leader, expected):
-                members.append(standard)
-                break
-        else:
-            groups.append((expected, [standard]))
-    return tuple(StandardClass(leader, tuple(members)) for leader, members in groups)
+        for expected in expectations(standard, settings):
+            for leader, members in groups:
+                if _same(leader, expected):
+                    members.append(standard)
+                    break
+            else:
+                groups.append((expected, [standard]))
+    seen: dict[str, int] = {}
+    found = []
+    for leader, members in groups:
+        name = leader.standard.id
+        seen[name] = seen.get(name, 0) + 1
+        found.append(StandardClass(name if seen[name] == 1 else name + SHORTER_NAME, leader, tuple(members)))
+    return tuple(found)
 
 
 def _same(a: Expectation, b: Expectation) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,15 +52,33 @@ class Expectation:
     has_outline: bool
     has_glyph: bool
     has_pitch: bool
+    weight: float = 1.0  # how common this kind of width is
 
     @property
     def classes(self) -> int:
         return len(self.keys)
 
 
-def expectation(standard: PlateStandard, settings: RangingSettings) -> Expectation:
-    """Priors of one standard; the outline's include where it is seen (frames, lips), the standard's tolerances all."""
+def expectations(standard: PlateStandard, settings: RangingSettings) -> tuple[Expectation, ...]:
+    """One for each kind of width that the standard's plates have: where it floats, the whole and the shorter ones."""
     outline = standard.outline_belief()
+    if outline is None or not standard.width_floats:
+        return (expectation(standard, settings),)
+    return tuple(
+        replace(_expectation(standard, settings, ((width, sigma), outline[1])), weight=share)
+        for share, width, sigma in standard.width_beliefs()
+    )
+
+
+def expectation(standard: PlateStandard, settings: RangingSettings) -> Expectation:
+    """Priors of one standard, all its widths together."""
+    return _expectation(standard, settings, standard.outline_belief())
+
+
+def _expectation(
+    standard: PlateStandard, settings: RangingSettings, outline: tuple[tuple[float, float], tuple[float, float]] | None
+) -> Expectation:
+    """The outline's priors include where it is seen (frames, lips), the standard's tolerances all."""
     main = standard.main_key
     distinct: dict[str, tuple[float, float]] = {}
     counts: dict[str, int] = {}

@@ -21,7 +21,7 @@ from tmde_edge.ranging.contradiction import scale_factor
 from tmde_edge.ranging.features import Features, clusters, gather
 from tmde_edge.ranging.fit import LEAN, LOG_D, POSE, ROLL, YAW, Fit, Model, U, V, solve
 from tmde_edge.ranging.model import assign_classes, build_model, first_distance_m, misplaced, size_bias, starts
-from tmde_edge.ranging.scale_memory import Sizes, TrackScale, learn, normalised
+from tmde_edge.ranging.scale_memory import Evidence, Sizes, TrackScale, learn
 from tmde_edge.ranging.settings import RangingSettings
 
 Floats = NDArray[np.float64]
@@ -105,9 +105,10 @@ class Ranger:
                 known, scores, answers = None, anew, fresh
         if not answers:
             return None, empty, "no planar pose fits what was seen"
-        belief = self._belief(answers, known, scores)
+        evidence = self._evidence(answers, known, scores, _size_px(features))
+        belief = evidence.log_belief()
         parts = _hypotheses(answers, belief, known)
-        after = self._remember(answers, belief, parts, known, plate, t_ns)
+        after = self._remember(answers, evidence, belief, parts, known, plate, t_ns)
         range_, reason = self._result(plate, camera, features, answers, belief, parts, t_ns)
         return range_, after, reason
 
@@ -166,7 +167,7 @@ class Ranger:
         if not fits:
             return None
         first, torn = fits[0], scale_factor(features, model, fits[0])
-        best = replace(first, prior=first.prior + (torn**2 - 1) * first.covariance)  # as wrong in the next frame: no noise
+        best = replace(first, noise=torn**2 * first.noise, prior=torn**2 * first.prior)  # agreeing frames weigh more in a track
         weights = [float(np.exp(-0.5 * (f.cost - best.cost))) for f in fits]
         log_d, spread = fuse.mixture(weights, [f.x[LOG_D] for f in fits], [0.0] * len(fits))
         _, yaw_sigma = fuse.mixture(weights, [f.x[YAW] for f in fits], [f.covariance[YAW, YAW] ** 0.5 for f in fits])
@@ -178,24 +179,27 @@ class Ranger:
             evidence=best.evidence - 0.5 * lost + layout, yaw_sigma_rad=yaw_sigma, known=sizes, bias=bias,
         )
 
-    def _belief(self, answers: list[_Answer], known: TrackScale | None, scores: dict[str, _Score]) -> dict[str, float]:
-        """Log belief over all classes; those that were not fitted keep their standing against those that were."""
+    def _evidence(self, answers: list[_Answer], known: TrackScale | None, scores: dict[str, _Score], size_px: float) -> Evidence:
+        """What speaks for which class; those that were not fitted keep their standing against those that were."""
         fitted = {a.group.id: a.evidence for a in answers}
-        if known is None or not known.log_belief:
+        if known is None or known.evidence is None:
             # The cheap look and the fit measure the same thing but for a constant: take it from the best fit.
             total = {k: self._log_prior[k] + e for k, e in fitted.items()}
             best = max(total, key=lambda k: total[k])
             rest = {k: s.belief + min(total[best] - scores[best].belief, 0.0) for k, s in scores.items() if k not in fitted}
-            return normalised({**rest, **total})
-        share = self.settings.memory_share
-        usual = fuse.mixture([float(np.exp(scores[k].belief)) for k in fitted], list(fitted.values()), [0.0] * len(fitted))[0]
-        return normalised({k: s.belief + share * fitted.get(k, usual) for k, s in scores.items()})
+            gained = {k: e - fitted[best] for k, e in fitted.items()}
+            before = Evidence({k: v - fitted[best] for k, v in rest.items()}, {})
+        else:
+            weights = [float(np.exp(scores[k].belief)) for k in fitted]
+            usual = fuse.mixture(weights, list(fitted.values()), [0.0] * len(fitted))[0]
+            gained, before = {k: e - usual for k, e in fitted.items()}, known.evidence
+        return before.with_frame(size_px, gained, self._log_prior)
 
     def _misfit(self, answers: list[_Answer]) -> bool:
         """Whether even the best standard's learned proportions are far from what is seen."""
         return all(_contradicts(a) for a in answers)
 
-    def _remember(self, answers: list[_Answer], belief: dict[str, float], parts: dict[str, _Hypothesis],
+    def _remember(self, answers: list[_Answer], evidence: Evidence, belief: dict[str, float], parts: dict[str, _Hypothesis],
                   known: TrackScale | None, plate: PlateSighting, t_ns: int) -> TrackScale:
         sizes = dict(known.sizes) if known is not None else {}
         share = self.settings.memory_share
@@ -212,7 +216,7 @@ class Ranger:
         return TrackScale(
             track_id=plate.track_id, t_ns=t_ns, log_belief=belief, log_offsets=offsets, sizes=sizes,
             yaw_rad=float(best.fit.x[YAW]), yaw_sigma_rad=best.yaw_sigma_rad, lean_rad=float(best.fit.x[LEAN]),
-            lean_sigma_rad=float(best.fit.covariance[LEAN, LEAN] ** 0.5), roll_rad=float(best.fit.x[ROLL]),
+            lean_sigma_rad=float(best.fit.covariance[LEAN, LEAN] ** 0.5), roll_rad=float(best.fit.x[ROLL]), evidence=evidence,
             frames=(known.frames if known is not None else 0) + 1, misfits=misfits,
         )
 
@@ -220,6 +224,8 @@ class Ranger:
                 belief: dict[str, float], parts: dict[str, _Hypothesis], t_ns: int) -> tuple[RangeMeasurement | None, str | None]:
         s = self.settings
         best = max(answers, key=lambda a: belief[a.group.id])
+        standard = best.group.expected.standard.id
+        believed = sum(float(np.exp(v)) for k, v in belief.items() if self._classes[k].expected.standard.id == standard)
         x = best.fit.x
         measured = self._cues(features, best)
         if s.method == "paper":
@@ -246,8 +252,8 @@ class Ranger:
         return RangeMeasurement(
             track_id=plate.track_id, t_ns=t_ns, distance_m=distance, sigma_m=distance * relative,
             noise_m=distance * noise_var**0.5, scale_sigma=scale_sigma, lateral_m=distance * float(x[U]),
-            lateral_sigma_m=lateral_sigma, down_m=distance * float(x[V]), yaw_rad=float(x[YAW]), standard=best.group.id,
-            belief=min(1.0, float(np.exp(belief[best.group.id]))),
+            lateral_sigma_m=lateral_sigma, down_m=distance * float(x[V]), yaw_rad=float(x[YAW]), standard=standard,
+            belief=min(1.0, believed),
             cues=tuple(_with_focal(c.as_range(c.name in used), camera.focal_sigma) for c in measured),
         ), None
 
@@ -257,6 +263,12 @@ class Ranger:
             tall = np.zeros(len(features.heights), dtype=bool)
             tall[clusters(np.log(features.heights))[0]] = answer.group.expected.classes == 1
         return cues.all_cues(features, answer.group.expected.standard, tall, self.settings)
+
+
+def _size_px(features: Features) -> float:
+    """How large the plate is seen: its width, else its height, else its characters' height."""
+    glyph = float(np.median(features.heights)) if len(features.heights) else None
+    return next((v * features.focal_px for v in (features.width, features.height, glyph) if v), 1.0)
 
 
 def _hypotheses(answers: list[_Answer], belief: dict[str, float], known: TrackScale | None) -> dict[str, _Hypothesis]:

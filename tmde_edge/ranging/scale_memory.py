@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
+LOOK_STEP = 0.15  # log size: by so much grown, a plate's edges fall anew into the pixels and blur matters less
+
 
 @dataclass(frozen=True, slots=True)
 class Sizes:
@@ -21,6 +23,37 @@ class Sizes:
 
     mean: Floats
     covariance: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """What a track's frames said for each standard, against the standards believed then.
+
+    A plate that stays as large as it is in the image shows the same errors again and again: a thousand frames of it are one look.
+    What it shows at another size is another look. looks: mean log evidence and number of frames, by size and standard.
+    """
+
+    prior: dict[str, float]
+    looks: dict[int, dict[str, tuple[float, int]]]
+
+    def with_frame(self, size_px: float, gained: dict[str, float], prior: dict[str, float]) -> Evidence:
+        """After one more frame; `prior`: of standards that are looked at for the first time."""
+        known = {k for look in self.looks.values() for k in look}
+        place = int(math.log(max(size_px, 1.0)) // LOOK_STEP)
+        look = dict(self.looks.get(place, {}))
+        for k, value in gained.items():
+            mean, frames = look.get(k, (0.0, 0))
+            look[k] = mean + (value - mean) / (frames + 1), frames + 1
+        fresh = {k: prior[k] for k in gained if k not in known}
+        return Evidence({**self.prior, **fresh}, {**self.looks, place: look})
+
+    def log_belief(self) -> dict[str, float]:
+        """Log probabilities of the standards."""
+        total = dict(self.prior)
+        for look in self.looks.values():
+            for k, (mean, _) in look.items():
+                total[k] += mean
+        return normalised(total)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,6 +70,7 @@ class TrackScale:
     lean_rad: float = 0.0
     lean_sigma_rad: float = 1.0
     roll_rad: float = 0.0
+    evidence: Evidence | None = None
     frames: int = 0
     misfits: int = 0  # frames in a row that contradict what was learned
 

@@ -7,7 +7,7 @@ from plate_scenes import AHEAD, CAMERA, sighting
 from tmde_edge.messages import RangeMeasurement
 from tmde_edge.plates.standard import load_standards, select
 from tmde_edge.ranging.ranger import Ranger
-from tmde_edge.ranging.scale_memory import Sizes, TrackScale, learn, normalised
+from tmde_edge.ranging.scale_memory import Evidence, Sizes, TrackScale, learn, normalised
 from tmde_edge.ranging.settings import RangingSettings
 
 STANDARDS = load_standards()
@@ -53,12 +53,39 @@ def test_what_was_learned_near_is_used_when_only_characters_are_left() -> None:
 def test_the_glyph_stays_the_anchor_where_the_width_floats() -> None:
     ranger = Ranger(RangingSettings(), select(["de-mittel"]))
     _, state = follow(ranger, np.linspace(6, 4, 20), "de-mittel", width_mm=460.0)
-    sizes = state.sizes["de-mittel"]
-    assert sizes.mean[1] == pytest.approx(np.log(460 / 520), abs=0.02)
+    sizes = state.sizes["de-mittel shorter"]
+    assert state.log_belief["de-mittel shorter"] > np.log(0.9)
+    assert sizes.mean[1] == pytest.approx(np.log(460 / 520) + 0.06, abs=0.02)
     assert abs(sizes.mean[0]) < 0.006
     # ... and then the learned width carries the distance of a plate without readable characters
     far, _ = follow(ranger, np.array([18.0]), "de-mittel", width_mm=460.0, glyphs=False, state=state)
     assert abs(far[0].distance_m / 18 - 1) < 0.03
+
+
+def test_a_far_plate_whose_width_floats_is_ranged_by_its_width_while_it_may_be_whole() -> None:
+    ranger = Ranger(RangingSettings(), select(["de-mittel"]))
+    tall = sighting(STANDARDS["de-mittel"], distance_m=25.0, glyph_mm=80.0, glyph_sigma=0.5, corner_sigma=0.3)
+    measured, state, _ = ranger.measure(tall, CAMERA, AHEAD, 0)
+    assert measured is not None
+    assert measured.standard == "de-mittel"
+    assert measured.belief == pytest.approx(1.0)  # of both kinds of width together
+    assert abs(measured.distance_m / 25 - 1) < 0.025  # 5 % too near by the characters
+    assert set(state.log_belief) == {"de-mittel", "de-mittel shorter"}
+
+
+def test_many_frames_at_one_size_are_one_look_and_another_size_is_another() -> None:
+    prior = {"a": np.log(0.8), "b": np.log(0.2)}
+    once = Evidence(prior, {}).with_frame(30.0, {"a": -1.0, "b": 0.0}, prior)
+    many = once
+    for _ in range(500):
+        many = many.with_frame(30.0, {"a": -1.0, "b": 0.0}, prior)
+    assert many.log_belief() == pytest.approx(once.log_belief())
+    assert many.log_belief()["b"] == pytest.approx(np.log(0.2 / (0.2 + 0.8 * np.exp(-1.0))))
+    nearer = many.with_frame(60.0, {"a": -1.0, "b": 0.0}, prior)
+    assert nearer.log_belief()["b"] == pytest.approx(np.log(0.2 / (0.2 + 0.8 * np.exp(-2.0))))
+    # a standard that was left out at first starts from its prior when it is looked at
+    late = nearer.with_frame(60.0, {"c": 1.0}, {"c": np.log(0.1), "a": 9.0})
+    assert late.log_belief()["c"] - late.log_belief()["a"] == pytest.approx(np.log(0.1) + 1.0 - np.log(0.8) + 2.0)
 
 
 def test_memory_never_sharpens_the_scale_itself() -> None:
