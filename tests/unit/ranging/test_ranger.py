@@ -326,6 +326,7 @@ def test_cues_that_contradict_each_other_widen_the_sigma() -> None:
     torn = sighting(STANDARDS["ru-1"], distance_m=6.0, glyph_sigma=0.05, corner_sigma=0.1, glyph_mm=76 * 0.96)
     a, b = (ranged(ranger("ru-1"), p) for p in (agree, torn))
     assert b.sigma_m > 1.3 * a.sigma_m
+    assert b.noise_m > 1.3 * a.noise_m  # such frames weigh less in a track too
 
 
 @pytest.mark.parametrize("share", [0.90, 0.85, 0.80])
