@@ -17,7 +17,7 @@ from pathlib import Path
 _log = logging.getLogger(__name__)
 _PERIOD_S = 2.0
 _TOOL_S = 3.0
-_TRIM_S = 60.0  # pictures of many sizes come and go: what lies free between them would only grow
+_TRIM_S = 10.0  # pictures of many sizes come and go: what lies free between them would only grow
 # Zones of the processor come first; a battery or a radio module says little about us.
 _CPU_ZONES = ("cpu", "soc", "x86_pkg", "gpu", "tj", "bigcore", "littlecore")
 _PLAUSIBLE_C = (-40.0, 150.0)

@@ -33,6 +33,7 @@ _MISFITS_TO_RESET = 3
 _STRAIN = 1.3  # a fit under more strain asks for a second look from elsewhere
 _SHAPE_SLACK = 3.0  # the cheap look may be wrong by so much in log likelihood
 _UNASSIGNED_COST = 9.0  # of a glyph that fits no class of a standard
+_OTHERS_EVERY = 4  # frames of a followed track: a class that is not the most believed is fitted no more often
 _MISPLACED_COST = 3.0  # of a glyph of another height than the standard's layout has there
 
 
@@ -138,7 +139,8 @@ class Ranger:
         if known is None:
             chosen = worth[: self.settings.max_fits]
         else:
-            chosen = worth[:1] + ([worth[1 + known.frames % (len(worth) - 1)]] if len(worth) > 1 else [])
+            turn = 1 + known.frames % max(len(worth) - 1, _OTHERS_EVERY)
+            chosen = worth[:1] + worth[turn : turn + 1]
         answers = (self._fit(self._classes[k], features, known, t_ns, scores[k].layout) for k in chosen)
         return [a for a in answers if a is not None]
 
