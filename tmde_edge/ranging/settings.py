@@ -20,7 +20,7 @@ class RangingSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     max_relative_sigma: Positive = 0.25  # a distance less certain than this is no answer
     min_distance_m: Positive = 0.15  # nearer is no answer
     max_distance_m: Positive = 200.0  # farther is no answer
-    outline_sigma_mm: NotNegative = 2.5  # where a seen side edge lies against the legal one: frames, lips
+    outline_sigma_mm: NotNegative = 4.0  # where a seen side edge lies against the legal one: frames, lips
     outline_sigma_tb_mm: NotNegative = 5.0  # the same for upper and lower edges: shadows and recesses too
     unrefined_height_sigma: NotNegative = 0.08  # of a plate whose edges were not found to sub-pixels, relative
     unrefined_width_sigma: NotNegative = 0.015  # the same of its width

@@ -18,6 +18,8 @@ Rng = np.random.Generator
 Image8 = NDArray[np.uint8]
 ImageF = NDArray[np.float32]
 MAX_GLYPHS = 14
+LOW_HEIGHT_PX = 13.0  # on lower plates the place that is given is made much wronger
+LOW_END_PX = 0.8  # one sigma of their ends
 
 
 @dataclass
@@ -360,6 +362,14 @@ def wrong_corners(rng: Rng, quad: NDArray[np.float64]) -> NDArray[np.float64]:
     axis = v / height
     along = (out - centre) @ axis
     out = out + np.outer(along * (stretch - 1), axis)
+    # Of a low plate little is to be seen: were the place it is given near the truth, the network would repeat that place.
+    low = float(np.clip((LOW_HEIGHT_PX - height) / 5, 0.0, 1.0))
+    up, down = np.exp(rng.normal(0, 0.2)) - 1, np.exp(rng.normal(0, 0.2)) - 1
+    left, right = rng.normal(0, LOW_END_PX, 2) / width
+    out[[0, 1]] -= 0.5 * low * up * v
+    out[[2, 3]] += 0.5 * low * down * v
+    out[[0, 3]] -= low * left * u
+    out[[1, 2]] += low * right * u
     if rng.random() < 0.06:  # a finder's worse moments
         out = centre + (out - centre) * rng.uniform(0.85, 1.4)
     if rng.random() < 0.12:
@@ -369,10 +379,10 @@ def wrong_corners(rng: Rng, quad: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def plate_width(rng: Rng) -> float:
-    """Source widths 20..420 px, most 40..150."""
-    if rng.random() < 0.72:
-        return float(np.exp(rng.uniform(np.log(36), np.log(160))))
-    return float(np.exp(rng.uniform(np.log(20), np.log(420))))
+    """Source widths 18..420 px, most 36..160, a third small ones."""
+    share = rng.random()
+    low, high = (36, 160) if share < 0.45 else (18, 48) if share < 0.8 else (20, 420)
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
 def view(rng: Rng, world: World, spec: FaceSpec, font: MaskFont, width_px: float, shots: int) -> tuple[list[Image8], NDArray[np.float64], NDArray[np.float64]]:

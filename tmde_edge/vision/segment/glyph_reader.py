@@ -26,10 +26,6 @@ NETWORK_SHARE = 0.6  # in the tops and bottoms of characters up to BOTH_PX high;
 BOTH_PX, CROSSING_ALONE_PX = 13.0, 17.0
 BORDER_HEIGHT_PX = 24.0  # on lower plates no border line is wider than a pixel: nothing to measure
 LOW_PLATE_PX = 5.0  # of plates about so high the network's corners err twice as much as it says (rendered stills)
-# Of low plates the network sees little and leans on the place it was given: a fifth to a half of an error of that height comes
-# back, and 0.2 px too much besides. Followed from look to look both grow. Cut so much lower, heights come out right (drawn stills
-# of ten standards, 18 to 40 px wide).
-CUT_LOWER, CUT_HEIGHT_PX = 0.12, 6.0
 INKED_COUNT_MIN = 4  # fewer characters tell nothing about the plate's ink
 INKED_MIN = 0.62  # of the median contrast: paler is a seal; from the standards' seals (green, grey) and characters of all widths
 INKED_HEIGHT_PX = 10.0
@@ -59,7 +55,7 @@ class GlyphReader:
         """One reading per candidate, in order, in source pixels."""
         if not candidates:
             return []
-        readings = self._network.read(image, np.stack([_cut(c.corners_px) for c in candidates]))
+        readings = self._network.read(image, np.stack([c.corners_px for c in candidates]))
         return [self._measure(image, r, c.hurried) for r, c in zip(readings, candidates, strict=True)]
 
     def _measure(self, image: Image, reading: GlyphReading, hurried: bool) -> PlateReading:
@@ -119,14 +115,6 @@ class GlyphReader:
         if not fit.side_sigma_px:
             return replace(given, corners_px=fit.corners_px)
         return replace(fit, corners_px=steadied(fit.corners_px, fit.sigma_px))
-
-
-def _cut(corners_px: Array) -> Array:
-    """What the network is given for a place (4, 2): low plates a little lower than they were taken to be."""
-    lower = CUT_LOWER * min(1.0, (CUT_HEIGHT_PX / max(size_px(corners_px)[1], 1.0)) ** 2)
-    up, down = corners_px[[0, 1]], corners_px[[3, 2]]
-    inset = (down - up) * (lower / 2)
-    return np.asarray(np.concatenate([up + inset, (down - inset)[::-1]]), dtype=np.float64)
 
 
 def _main(glyphs: Sequence[Glyph], heights_px: Array, sigmas_px: Array) -> list[bool]:
