@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
+from tmde_edge.adapters.cameras import played_file
 from tmde_edge.adapters.cameras.disabled import DisabledCamera
 from tmde_edge.adapters.cameras.live_camera import Captured, WatchedCamera
 from tmde_edge.adapters.cameras.played_file import PlayedFile
@@ -278,6 +279,22 @@ def test_a_loop_goes_on_in_time_and_count(tmp_path: Path) -> None:
     assert [level(c) for c in got] == [0, 1, 2, 3, 4, 0, 1, 2, 3, 4, 0, 1]
     assert [c.t_ns - start for c in got if c] == [i * 100_000_000 for i in range(12)]
     assert [c.index for c in got if c] == list(range(12))
+
+
+def test_a_file_that_opens_slowly_loses_no_frame_when_it_begins_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = Clock()
+    camera = played(tmp_path, clock, loop=True)
+
+    def slow(*args: object, **more: object) -> Iterator[SourceItem]:
+        clock.wait(0.35)
+        return (Frame(t_ns=i * 100_000_000, index=i, image=IMAGE) for i in range(5))
+
+    monkeypatch.setattr(played_file, "open_source", slow)
+    got = [camera.read(1.0) for _ in range(12)]
+    assert [c.index for c in got if c] == list(range(12))
+    assert got[5] is not None
+    assert got[4] is not None
+    assert got[5].t_ns - got[4].t_ns == pytest.approx(350_000_000, abs=1_000_000)  # its own time, as of a camera that paused
 
 
 def test_an_unreadable_picture_is_a_garbled_frame(tmp_path: Path) -> None:

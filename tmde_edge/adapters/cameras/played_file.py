@@ -103,4 +103,5 @@ class PlayedFile:
             return
         start_ns = self._start_ns + self._last_ns + self._step_ns
         self.open()
-        self._start_ns = start_ns  # the first frame follows the last at the usual distance
+        # The first frame follows the last at the usual distance, or as soon as the file is open again: that loses no frame.
+        self._start_ns = max(start_ns, self._start_ns)
