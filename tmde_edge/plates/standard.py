@@ -132,17 +132,15 @@ class PlateStandard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         if self.plate_width is None or self.plate_height is None:
             return None
         width, sigma = self.plate_width.belief("outline")
-        if self.width_floats:
-            kinds = self.width_beliefs()
+        kinds = self.floating_widths()
+        if kinds:
             sigma = sum(share * (s**2 + (w - width) ** 2) for share, w, s in kinds) ** 0.5
         return (width, sigma), self.plate_height.belief("outline")
 
-    def width_beliefs(self) -> tuple[tuple[float, float, float], ...]:
-        """(share, width, sigma) in mm of the kinds of width: one; of a width that floats whole ones and shorter ones."""
-        if self.plate_width is None:
+    def floating_widths(self) -> tuple[tuple[float, float, float], ...]:
+        """(share, width, sigma) in mm of whole plates and of shorter ones where the width floats, else none."""
+        if not self.width_floats or self.plate_width is None or self.plate_width.mm is None:
             return ()
-        if not self.width_floats or self.plate_width.mm is None:
-            return ((1.0, *self.plate_width.belief("outline")),)
         whole = self.plate_width.mm
         shorter = whole * math.exp(-SHORTER)
         return (WHOLE_SHARE, whole, WHOLE_SIGMA * whole), (1 - WHOLE_SHARE, shorter, SHORTER_SIGMA * shorter)

@@ -14,7 +14,6 @@ from tmde_edge.ranging.model import Expectation, expectations
 from tmde_edge.ranging.settings import RangingSettings
 
 SAME_SIZE = 0.012  # relative: nearer standards are one class
-SHORTER_NAME = " shorter"  # behind the id of a standard whose width floats: the class of its shorter plates
 _WRONG_COLOUR, _WRONG_ROWS = -3.0, -2.0
 _TILT_SIGMA, _YAW_SLACK = 0.03, 0.10  # log aspect: lean and noise; a turned plate looks narrower
 
@@ -23,9 +22,12 @@ _TILT_SIGMA, _YAW_SLACK = 0.03, 0.10  # log aspect: lean and noise; a turned pla
 class StandardClass:
     """Standards that no measurement can tell apart, by the most common of them; shorter plates of one are a class too."""
 
-    id: str
     expected: Expectation
     members: tuple[PlateStandard, ...]
+
+    @property
+    def id(self) -> str:
+        return self.expected.id
 
     @property
     def weight(self) -> float:
@@ -43,13 +45,7 @@ def classes(standards: Sequence[PlateStandard], settings: RangingSettings) -> tu
                     break
             else:
                 groups.append((expected, [standard]))
-    seen: dict[str, int] = {}
-    found = []
-    for leader, members in groups:
-        name = leader.standard.id
-        seen[name] = seen.get(name, 0) + 1
-        found.append(StandardClass(name if seen[name] == 1 else name + SHORTER_NAME, leader, tuple(members)))
-    return tuple(found)
+    return tuple(StandardClass(leader, tuple(members)) for leader, members in groups)
 
 
 def _same(a: Expectation, b: Expectation) -> bool:

@@ -81,4 +81,3 @@ def _heights(features: Features, model: Model, x: Floats, used: NDArray[np.int64
     half = (model.class_height_m[classes] * np.exp(x[POSE + classes]) / 2)[:, None] * down
     a, b = middle * depth[:, None] - half, middle * depth[:, None] + half
     return np.asarray(np.sqrt(np.sum((a[:, :2] / a[:, 2:] - b[:, :2] / b[:, 2:]) ** 2, axis=1)), dtype=np.float64)
-

@@ -44,6 +44,7 @@ _TALL_MISSING = 2.0  # cost of having seen small characters only
 class Expectation:
     """A standard's sizes as means and one-sigma logs, in metres: classes first, then width, height, pitch."""
 
+    id: str  # the standard's, or that of one kind of its plates
     standard: PlateStandard
     keys: tuple[str, ...]
     share: Floats  # (k,) of the characters that belong to each class
@@ -61,12 +62,12 @@ class Expectation:
 
 def expectations(standard: PlateStandard, settings: RangingSettings) -> tuple[Expectation, ...]:
     """One for each kind of width that the standard's plates have: where it floats, the whole and the shorter ones."""
-    outline = standard.outline_belief()
-    if outline is None or not standard.width_floats:
+    outline, kinds = standard.outline_belief(), standard.floating_widths()
+    if outline is None or not kinds:
         return (expectation(standard, settings),)
     return tuple(
-        replace(_expectation(standard, settings, ((width, sigma), outline[1])), weight=share)
-        for share, width, sigma in standard.width_beliefs()
+        replace(_expectation(standard, settings, ((width, sigma), outline[1])), id=standard.id + suffix, weight=share)
+        for suffix, (share, width, sigma) in zip(("", " shorter"), kinds, strict=True)
     )
 
 
@@ -111,7 +112,8 @@ def _expectation(
     relative = every[:, 1] / every[:, 0]
     members = np.array([counts[k] for k in distinct], dtype=np.float64)
     return Expectation(
-        standard=standard, keys=tuple(distinct), share=members / max(float(members.sum()), 1.0), size_m=every[:, 0] / 1000,
+        id=standard.id, standard=standard, keys=tuple(distinct),
+        share=members / max(float(members.sum()), 1.0), size_m=every[:, 0] / 1000,
         has_outline=outline is not None, has_glyph=has_glyph, has_pitch=standard.pitch_belief() is not None,
         sizes=Sizes(np.zeros(len(every)), np.diag(relative**2)),
     )

@@ -93,7 +93,7 @@ class Ranger:
         """
         features = gather(plate, camera, np.asarray(view_from_vehicle, dtype=np.float64))
         known = state if state is not None and state.track_id == plate.track_id else None
-        empty = known or TrackScale(track_id=plate.track_id, t_ns=t_ns, log_belief={}, log_offsets={}, sizes={})
+        empty = known or TrackScale(track_id=plate.track_id, t_ns=t_ns)
         reason = self._too_little(features, plate)
         if reason:
             return None, empty, reason
@@ -147,8 +147,9 @@ class Ranger:
     def _scores(self, plate: PlateSighting, features: Features, known: TrackScale | None) -> dict[str, _Score]:
         """Belief before this frame's fits; a new plate's comes from a cheap look at its shape."""
         layout = {k: layout_log_likelihood(c, plate, features) for k, c in self._classes.items()}
-        if known is not None and known.log_belief:
-            return {k: _Score(v, layout[k]) for k, v in known.log_belief.items()}
+        believed = known.evidence.log_belief() if known is not None else {}
+        if believed:
+            return {k: _Score(v, layout[k]) for k, v in believed.items()}
         return {
             k: _Score(self._log_prior[k] + layout[k] + shape_log_likelihood(c, features), layout[k])
             for k, c in self._classes.items()
@@ -184,7 +185,7 @@ class Ranger:
     def _evidence(self, answers: list[_Answer], known: TrackScale | None, scores: dict[str, _Score], size_px: float) -> Evidence:
         """What speaks for which class; those that were not fitted keep their standing against those that were."""
         fitted = {a.group.id: a.evidence for a in answers}
-        if known is None or known.evidence is None:
+        if known is None or not known.evidence.looks:
             # The cheap look and the fit measure the same thing but for a constant: take it from the best fit.
             total = {k: self._log_prior[k] + e for k, e in fitted.items()}
             best = max(total, key=lambda k: total[k])
@@ -216,9 +217,9 @@ class Ranger:
         offsets = {k: p.log_d - mean for k, p in parts.items()}
         misfits = known.misfits + 1 if known is not None and self._misfit(answers) else 0
         return TrackScale(
-            track_id=plate.track_id, t_ns=t_ns, log_belief=belief, log_offsets=offsets, sizes=sizes,
+            track_id=plate.track_id, t_ns=t_ns, evidence=evidence, log_offsets=offsets, sizes=sizes,
             yaw_rad=float(best.fit.x[YAW]), yaw_sigma_rad=best.yaw_sigma_rad, lean_rad=float(best.fit.x[LEAN]),
-            lean_sigma_rad=float(best.fit.covariance[LEAN, LEAN] ** 0.5), roll_rad=float(best.fit.x[ROLL]), evidence=evidence,
+            lean_sigma_rad=float(best.fit.covariance[LEAN, LEAN] ** 0.5), roll_rad=float(best.fit.x[ROLL]),
             frames=(known.frames if known is not None else 0) + 1, misfits=misfits,
         )
 

@@ -7,7 +7,7 @@ height of a character against the plate's height); the overall scale stays as un
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,8 +33,8 @@ class Evidence:
     What it shows at another size is another look. looks: mean log evidence and number of frames, by size and standard.
     """
 
-    prior: dict[str, float]
-    looks: dict[int, dict[str, tuple[float, int]]]
+    prior: dict[str, float] = field(default_factory=dict)
+    looks: dict[int, dict[str, tuple[float, int]]] = field(default_factory=dict)
 
     def with_frame(self, size_px: float, gained: dict[str, float], prior: dict[str, float]) -> Evidence:
         """After one more frame; `prior`: of standards that are looked at for the first time."""
@@ -48,12 +48,12 @@ class Evidence:
         return Evidence({**self.prior, **fresh}, {**self.looks, place: look})
 
     def log_belief(self) -> dict[str, float]:
-        """Log probabilities of the standards."""
+        """Log probabilities of the standards; {} before the first frame."""
         total = dict(self.prior)
         for look in self.looks.values():
             for k, (mean, _) in look.items():
                 total[k] += mean
-        return normalised(total)
+        return normalised(total) if total else {}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,15 +62,14 @@ class TrackScale:
 
     track_id: int
     t_ns: int
-    log_belief: dict[str, float]
-    log_offsets: dict[str, float]  # each standard's log distance against the mixture's
-    sizes: dict[str, Sizes]
+    evidence: Evidence = field(default_factory=Evidence)
+    log_offsets: dict[str, float] = field(default_factory=dict)  # each standard's log distance against the mixture's
+    sizes: dict[str, Sizes] = field(default_factory=dict)
     yaw_rad: float = 0.0
     yaw_sigma_rad: float = 1.0
     lean_rad: float = 0.0
     lean_sigma_rad: float = 1.0
     roll_rad: float = 0.0
-    evidence: Evidence | None = None
     frames: int = 0
     misfits: int = 0  # frames in a row that contradict what was learned
 

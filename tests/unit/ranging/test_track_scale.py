@@ -54,7 +54,7 @@ def test_the_glyph_stays_the_anchor_where_the_width_floats() -> None:
     ranger = Ranger(RangingSettings(), select(["de-mittel"]))
     _, state = follow(ranger, np.linspace(6, 4, 20), "de-mittel", width_mm=460.0)
     sizes = state.sizes["de-mittel shorter"]
-    assert state.log_belief["de-mittel shorter"] > np.log(0.9)
+    assert state.evidence.log_belief()["de-mittel shorter"] > np.log(0.9)
     assert sizes.mean[1] == pytest.approx(np.log(460 / 520) + 0.06, abs=0.02)
     assert abs(sizes.mean[0]) < 0.006
     # ... and then the learned width carries the distance of a plate without readable characters
@@ -70,7 +70,7 @@ def test_a_far_plate_whose_width_floats_is_ranged_by_its_width_while_it_may_be_w
     assert measured.standard == "de-mittel"
     assert measured.belief == pytest.approx(1.0)  # of both kinds of width together
     assert abs(measured.distance_m / 25 - 1) < 0.025  # 5 % too near by the characters
-    assert set(state.log_belief) == {"de-mittel", "de-mittel shorter"}
+    assert set(state.evidence.log_belief()) == {"de-mittel", "de-mittel shorter"}
 
 
 def test_many_frames_at_one_size_are_one_look_and_another_size_is_another() -> None:
