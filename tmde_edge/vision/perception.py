@@ -231,19 +231,23 @@ class Perception:
         return credible(reading, self._segmenter.platehood_min) and is_convex(reading.corners_px)
 
     def _confirm(self, track: Track, image: Image, candidate: PlateCandidate, reading: PlateReading) -> None:
-        """Gives an identity to what is sure, or was seen often enough and looks like a plate from closer up too.
+        """Gives an identity to what seems sure, or was seen often enough, and looks like a plate from closer up too.
 
-        A facade far ahead changes as little from frame to frame as a plate does: more hits alone say nothing new.
+        A facade far ahead changes as little from frame to frame as a plate does: more hits alone say nothing new. And one
+        frame's high scores are no proof: windows in rows have fooled finder and reader together.
         """
-        track.sure = track.sure or track.score >= self._detector.confident_score
-        if track.id or not (track.sure or track.hits >= track.needed):
+        confident = track.score >= self._detector.confident_score
+        if track.id:
+            track.sure = track.sure or confident
             return
-        judged = not track.sure and reading.platehood is not None  # a reader without an opinion leaves it to the hits
+        if track.hits < (1 if confident and not track.doubted else track.needed):
+            return
+        judged = reading.platehood is not None  # a reader without an opinion leaves it to finder and hits
         if judged and self._still.belief(image, candidate, reading) < self._detector.still_belief_min:
-            track.needed = track.hits + ASKED_AGAIN_HITS
-        else:
-            track.id = self._next_id
-            self._next_id += 1
+            track.doubted, track.needed = True, track.hits + ASKED_AGAIN_HITS
+            return
+        track.id, track.sure = self._next_id, confident
+        self._next_id += 1
 
     def _report(
         self, track: Track, reading: PlateReading, score: float, source: Literal["detector", "flow"], image: Image

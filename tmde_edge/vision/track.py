@@ -37,6 +37,7 @@ class Track:
     found_score: float = 0.0
     judged: bool = False  # the reader has an opinion whether this is a plate
     needed: int = 2  # hits before it is reported
+    doubted: bool = False  # did not look like a plate from closer up
     sure: bool = False  # was once beyond doubt
     id: int = 0  # 0 until confirmed
     velocity_px: Array = field(default_factory=lambda: np.zeros((4, 2)))  # corners' motion a nanosecond, without the camera's

@@ -131,6 +131,18 @@ def test_what_is_unsure_and_no_plate_from_closer_up_never_gets_an_identity():
     assert plate.closer_looks == 1
 
 
+def test_high_scores_of_one_frame_are_no_proof_where_the_closer_look_denies_them():
+    """As windows in rows: finder 0.74, reader 0.9, together above confident_score; from closer up no plate."""
+    reader = EchoReader()
+    reader.platehood = 0.9
+    facade = ScriptedSearch([_candidate(score=0.74)], closer_score=0.5)
+    p = _perception(facade, reader)
+    assert not any(p.see(_frame(i)).plates for i in range(30))
+    assert 5 <= facade.closer_looks <= 12
+    plate = _perception(ScriptedSearch([_candidate(score=0.74)], closer_score=0.9), reader)
+    assert plate.see(_frame(0)).plates  # and a plate is still reported at once
+
+
 def test_a_reader_that_knows_no_platehood_leaves_the_unsure_to_the_number_of_hits():
     search = ScriptedSearch([_candidate(score=0.35)])  # below score_min: found in permissive mode only
     p = _perception(search)
