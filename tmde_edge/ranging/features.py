@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,11 +51,15 @@ class Features:
     spacing: float | None
     border: float | None
     char_height: float | None
+    heights: Floats = field(init=False)  # (n,) top to bottom of every glyph, normalised
+    width: float | None = field(init=False)  # mean length of upper and lower edge, normalised, of those with valid ends
+    height: float | None = field(init=False)  # the same of the left and right edge
 
-    @property
-    def heights(self) -> Floats:
-        """Top to bottom of every glyph (n,), normalised."""
-        return np.asarray(np.sqrt(np.sum((self.bottom - self.top) ** 2, axis=1)), dtype=np.float64)
+    def __post_init__(self) -> None:
+        stems = self.bottom - self.top
+        object.__setattr__(self, "heights", np.hypot(stems[:, 0], stems[:, 1]))
+        object.__setattr__(self, "width", self.width_of(self.corners))
+        object.__setattr__(self, "height", self.height_of(self.corners))
 
     @property
     def corners_sigma(self) -> Floats:
@@ -71,16 +76,6 @@ class Features:
     def height_sigma(self) -> float:
         """One sigma of the upper or lower edge's place."""
         return float(np.hypot(self.side_sigma[0], self.side_sigma[2]) / 2**0.5)
-
-    @property
-    def width(self) -> float | None:
-        """Mean of the upper and lower edge's length, normalised, of those whose ends are valid."""
-        return self.width_of(self.corners)
-
-    @property
-    def height(self) -> float | None:
-        """Mean of the left and right edge's length, normalised, of those whose ends are valid."""
-        return self.height_of(self.corners)
 
     def width_of(self, corners: Floats) -> float | None:
         """`width` of other corners (4, 2), over the same edges."""
@@ -100,7 +95,7 @@ class Features:
         return 2 * bias_px * self.doubt * blend / self.focal_px
 
     def _mean_edge(self, corners: Floats, pairs: tuple[tuple[int, int], ...]) -> float | None:
-        lengths = [float(np.hypot(*(corners[b] - corners[a]))) for a, b in pairs if self.corner_ok[a] and self.corner_ok[b]]
+        lengths = [math.dist(corners[a], corners[b]) for a, b in pairs if self.corner_ok[a] and self.corner_ok[b]]
         return sum(lengths) / len(lengths) if lengths else None
 
 

@@ -26,6 +26,7 @@ from tmde_edge.vision.track import Track, associate, without_doubles
 EARLY_NS = 2_000_000  # a search may run this much before it is due: frame times jitter
 LONGEST_STEP_NS = 1_000_000_000  # after a gap longer than this between frames no track is carried over
 ASKED_AGAIN_HITS = 3  # more hits before what did not look like a plate from closer up is looked at again
+LONG_LOST_MISSES = 4  # a plate missed for longer is looked for in every other frame only, and not beside a full search
 OUTLINE_NS = 200_000_000  # where frames come quickly a settled plate's outline, strokes and border are measured this often
 BETWEEN = 3.0  # work that can wait one frame is not done beside a full search where frames come this much quicker
 
@@ -85,7 +86,7 @@ class Perception:
         steps = [self._predict(track, image, t_ns, step_ns) for track in self._tracks]
         timing.done("flow")
         settled = [track.settled(step, t_ns) for track, step in zip(self._tracks, steps, strict=True)]
-        searched, candidates = self._look(image, t_ns, settled)
+        searched, candidates = self._look(image, t_ns, step_ns, settled)
         timing.done("detect")
         matched, fresh = associate(self._tracks, candidates)
         fresh = fresh[: max(0, self._detector.max_plates - len(self._tracks))]
@@ -133,16 +134,18 @@ class Perception:
         """Whether this frame has a full search to pay for, or follows one (lanes are looked for then), and others come soon."""
         return self._soon(step_ns) and self._searched_ns is not None and t_ns - self._searched_ns < 1.5 * step_ns
 
-    def _look(self, image: Image, t_ns: int, settled: list[bool]) -> tuple[bool, list[PlateCandidate]]:
+    def _look(self, image: Image, t_ns: int, step_ns: int, settled: list[bool]) -> tuple[bool, list[PlateCandidate]]:
         """Region searches round every track that is not settled, and the full search or the fovea when due."""
         found: list[PlateCandidate] = []
+        full, soon = self._due(self._searched_ns, t_ns, self._detector.search_rate_hz / self.thinning), self._soon(step_ns)
         for track, known in zip(self._tracks, settled, strict=True):
-            region = None if known else self._region(track, image)
+            waits = soon and track.misses >= LONG_LOST_MISSES and (full or track.misses % 2 == 1)
+            region = None if known or waits else self._region(track, image)
             if region is not None:
                 # where a plate is known to be, a weaker sign of it is enough
                 mode: Mode = "permissive" if track.bridges else self._mode
                 found += self._search.region(image, region, size_px(track.corners_px)[0], mode)
-        if self._due(self._searched_ns, t_ns, self._detector.search_rate_hz / self.thinning):
+        if full:
             self._searched_ns = t_ns
             return True, found + self._search.frame(image, self._mode)
         if self._detector.fovea and self._due(self._fovea_ns, t_ns, self._detector.fovea_rate_hz / self.thinning):

@@ -278,8 +278,9 @@ def test_a_hidden_plates_vehicle_is_followed_on_without_a_plate_being_claimed():
         i_from = (c.t_from_ns - first.t_ns) / STEP_NS
         i_now = next((s.t_ns - first.t_ns) / STEP_NS for s in hidden if c in s.scale_changes)
         assert c.ratio == pytest.approx((1 + 0.004 * i_now) / (1 + 0.004 * i_from), abs=max(4 * c.sigma, 1e-3))
+    assert 10 <= len(search.regions) <= 22  # it is looked for on, but not in every frame
     search.blindfold = False
-    assert p.see(_frame(46)).plates[0].track_id == 1
+    assert [plate.track_id for i in (46, 47) for plate in p.see(_frame(i)).plates][:1] == [1]
 
 
 def test_growth_of_the_image_is_reported_over_its_base():
