@@ -141,6 +141,11 @@ def test_high_scores_of_one_frame_are_no_proof_where_the_closer_look_denies_them
     assert 5 <= facade.closer_looks <= 12
     plate = _perception(ScriptedSearch([_candidate(score=0.74)], closer_score=0.9), reader)
     assert plate.see(_frame(0)).plates  # and a plate is still reported at once
+    middle = STILL.corners_px.mean(axis=0)
+    far = PlateCandidate(corners_px=middle + 0.25 * (STILL.corners_px - middle), score=0.74)
+    search = ScriptedSearch([far], closer_score=0.5)
+    assert _perception(search, reader).see(_frame(0)).plates  # of 30 px there is no more to see from closer up
+    assert search.closer_looks == 0
 
 
 def test_a_reader_that_knows_no_platehood_leaves_the_unsure_to_the_number_of_hits():
