@@ -21,6 +21,7 @@ SETTLED_PX = 0.004  # a step below this moves the ratio by less than its sigma
 PIXELS_MAX = 1200
 PIXELS_MIN = 60
 HUBER_SIGMAS = 2.0
+EXPLAINED_MIN = 0.3  # rears in drives: 0.6 to 1.0; in clipped glare 0.5; what is not the same thing: about 0
 CORRELATED_PX = 4.0  # neighbours that share one independent residual: interpolation, demosaicing, compression
 NOISE_FLOOR_GREY = 1.0
 _CENTRAL = np.array([[-0.5, 0.0, 0.5]], np.float32)
@@ -28,7 +29,7 @@ _CENTRAL = np.array([[-0.5, 0.0, 0.5]], np.float32)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Alignment:
-    """(2, 3) map from template to later pixels; growth ratio with its sigma; how well it explains the patch (rms, grey)."""
+    """(2, 3) map from template to later pixels; growth ratio with its sigma; robust rms that is left, grey."""
 
     matrix: Array
     ratio: float
@@ -49,7 +50,7 @@ def align(
 ) -> Alignment | None:
     """Similarity that takes the template's pixels under the mask into `later` (`layers` of both), from a start (2, 3).
 
-    None where there is too little texture, too much leaves the image, or it does not settle.
+    None where there is too little texture, too much leaves the image, it does not settle, or something else is there.
     """
     rows, columns = np.nonzero(mask)
     skip = 1 + len(rows) // PIXELS_MAX
@@ -102,6 +103,11 @@ def align(
         if step < SETTLED_PX:
             break
     if not step <= 0.1 or not isfinite(abs(m)):
+        return None
+    # the share of what the later patch varies by that the template explains
+    spread = seen[inside] - seen[inside].mean()
+    explained = 1.0 - float((weights[inside] * left[inside] ** 2).sum() / max(float((weights[inside] * spread**2).sum()), 1e-9))
+    if explained < EXPLAINED_MIN:
         return None
     covariance = np.linalg.inv(normal) * sigma**2 * max(1.0, CORRELATED_PX / skip)
     linear = np.array([[m.real, -m.imag], [m.imag, m.real]])

@@ -114,6 +114,7 @@ class Perception:
         if step is not None and not is_convex(step.corners_px):
             step = None
         track.corners_px = guess if step is None else step.corners_px
+        track.placed = step is not None
         if step is not None and step.rear is not None:
             track.rear_ns = t_ns
         # drift of the flow adds up until the next detection; without flow the guess is a plate's own motion off
@@ -202,7 +203,7 @@ class Perception:
                     reading = washed(reading)
                 if not wanted[i].hurried:
                     track.outlined_ns = t_ns
-                track.hit(wanted[i], reading, t_ns, step_ns, self.shaken_px)
+                track.hit(wanted[i], reading, t_ns, self.shaken_px)
                 self._confirm(track, image, wanted[i], reading)
                 if not track.washed:
                     track.looks.learn(view)
@@ -214,7 +215,7 @@ class Perception:
             if steps[i] is not None and track.bridges and track.inside(image.shape[1], image.shape[0]):
                 seen = plate and reading.refined and track.near(reading)
                 carried = reading if seen else without_ink(reading, track.corners_px, track.sigma_px)
-                track.carry(carried, step_ns, self.shaken_px)
+                track.carry(carried, t_ns, self.shaken_px)
                 plates += self._report(track, carried, wanted[i].score, "flow", image)
         for candidate, reading in zip(fresh, readings[len(tracks) :], strict=True):
             if self._is_plate(reading):
@@ -271,7 +272,7 @@ class Perception:
         if not self._flow.enabled or busy:
             return ()
         for track in self._tracks:
-            if track.anchor is None or not track.id or not self._growth_due(track, t_ns):
+            if track.anchor is None or not track.placed or not track.id or not self._growth_due(track, t_ns):
                 continue
             rear = grow(track.anchor, image, track.corners_px, self._flow)
             if rear is not None:
@@ -296,14 +297,19 @@ class Perception:
         return tuple(boxes)
 
     def _retire(self, image: Image, t_ns: int) -> None:
-        """Ends tracks that are doubled or outside; renews the templates of the others."""
+        """Ends tracks that are doubled or outside; renews the templates of the others.
+
+        Where a plate is only guessed to be there may be road by now, and flow would follow that: the old template is kept.
+        """
         w, h = image.shape[1], image.shape[0]
         inside = [t for t in self._tracks if t.inside(w, h) and min(size_px(t.corners_px)) >= 2]
         self._tracks = without_doubles(inside, self._flow.ring)
         if not self._flow.enabled:
             return
         for track in self._tracks:
-            track.template = make_template(image, track.corners_px, self._flow)
+            if not track.placed:
+                continue
+            track.template, track.template_ns = make_template(image, track.corners_px, self._flow), t_ns
             if track.anchor is None and not track.washed:
                 track.anchor, track.anchor_ns = track.template, t_ns
 

@@ -42,7 +42,9 @@ class Track:
     id: int = 0  # 0 until confirmed
     velocity_px: Array = field(default_factory=lambda: np.zeros((4, 2)))  # corners' motion a nanosecond, without the camera's
     sigma_px: float = 1.0
-    template: Template | None = None  # of the last frame
+    placed: bool = True  # in this frame its place was seen, or flow led there; else it is a guess
+    template: Template | None = None  # of the last frame in which it was placed
+    template_ns: int = 0
     anchor: Template | None = None  # where the present scale change starts
     anchor_ns: int = 0
     outlined_ns: int = 0  # its outline was last looked for in the image
@@ -93,20 +95,22 @@ class Track:
         off = float(np.abs(reading.corners_px - self.corners_px).max())
         return off <= 3 * self.sigma_px + 0.04 * size_px(self.corners_px)[0]
 
-    def hit(self, candidate: PlateCandidate, reading: PlateReading, t_ns: int, step_ns: int, shaken_px: float) -> None:
+    def hit(self, candidate: PlateCandidate, reading: PlateReading, t_ns: int, shaken_px: float) -> None:
         """Takes a sighting by the detector."""
-        self.carry(reading, step_ns, shaken_px)
+        self.carry(reading, t_ns, shaken_px)
+        self.placed = True
         self.score, self.seen_ns = joint_score(candidate, reading), t_ns
         self.hits, self.misses = self.hits + 1, 0
         self.judged = reading.platehood is not None
         self.sigma_px = reading.corners_sigma_px
 
-    def carry(self, reading: PlateReading, step_ns: int, shaken_px: float) -> None:
+    def carry(self, reading: PlateReading, t_ns: int, shaken_px: float) -> None:
         """Moves to where the plate was read; shaken_px: how far down the camera's own pitching moved the picture."""
         if not is_convex(reading.corners_px):
             return
-        if step_ns > 0 and self.template is not None:
-            moved = ((reading.corners_px - self.template.corners_px).mean(axis=0) - (0.0, shaken_px)) / step_ns
+        if self.template is not None and t_ns > self.template_ns:
+            moved = (reading.corners_px - self.template.corners_px).mean(axis=0) - (0.0, shaken_px)
+            moved /= t_ns - self.template_ns
             self.velocity_px = (1 - VELOCITY_SHARE) * self.velocity_px + VELOCITY_SHARE * moved
         self.corners_px = reading.corners_px
 

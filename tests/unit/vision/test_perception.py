@@ -288,6 +288,25 @@ def test_a_hidden_plates_vehicle_is_followed_on_without_a_plate_being_claimed():
     assert [plate.track_id for i in (46, 47) for plate in p.see(_frame(i)).plates][:1] == [1]
 
 
+def test_what_takes_a_vehicles_place_is_not_followed_in_its_stead():
+    """A cut, or the lead is suddenly gone: the road that is seen in its place grows towards the camera, and is no vehicle."""
+    search = ScriptedSearch([_candidate()])
+    p = _perception(search, lost_s=0.3, carry_s=3.0)
+    for i in range(10):
+        assert p.see(_frame(i)).plates
+    search.blindfold = True
+    grain = np.random.default_rng(7).normal(size=STILL.image.shape[:2]).astype(np.float32)
+    road = np.clip(110 + 120 * cv2.GaussianBlur(grain, (0, 0), 2.5), 0, 255).astype(np.uint8)
+    after = []
+    for i in range(10, 40):
+        grown = 1.0 + 0.03 * (i - 10)
+        warp = np.array([[grown, 0, 0], [0, grown, 0]], np.float64)
+        warp[:, 2] = STILL.corners_px.mean(axis=0) * (1 - grown)
+        image = cv2.warpAffine(road, warp, road.shape[::-1], flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
+        after.append(p.see(_frame(i, cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))))
+    assert not any(s.plates or s.vehicles or s.scale_changes for s in after)
+
+
 def test_growth_of_the_image_is_reported_over_its_base():
     search = ScriptedSearch()
     p = _perception(search)
