@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 _log = logging.getLogger(__name__)
+_M_ARENA_MAX = -8  # of mallopt(3), malloc.h
 _PERIOD_S = 2.0
 _TOOL_S = 3.0
 _TRIM_S = 10.0  # pictures of many sizes come and go: what lies free between them would only grow
@@ -107,6 +108,16 @@ def memory_mb(root: Path = Path("/"), pid: int | str = "self") -> float | None:
     text = read_text(root / f"proc/{pid}/status") or ""
     match = re.search(r"^VmRSS:\s+(\d+) kB", text, re.MULTILINE)
     return int(match[1]) / 1024 if match is not None else None
+
+
+def one_heap() -> bool:
+    """All threads take memory from one heap of the C library instead of one each; False where it cannot be told (only glibc can).
+
+    A picture is taken by one thread and freed by another: heaps of their own would each keep room for it. To be called before
+    the threads start.
+    """
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
+    return mallopt is not None and bool(mallopt(_M_ARENA_MAX, 1))
 
 
 def trim_memory() -> bool:

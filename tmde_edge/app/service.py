@@ -20,7 +20,7 @@ from tmde_edge.adapters.range_port import RangePort
 from tmde_edge.app import journal, status
 from tmde_edge.app.alert_command import AlertCommand
 from tmde_edge.app.background_log import BackgroundLog
-from tmde_edge.app.board import BoardWatch, limit_processor, raise_priority
+from tmde_edge.app.board import BoardWatch, limit_processor, one_heap, raise_priority
 from tmde_edge.app.depth_keeper import DepthKeeper
 from tmde_edge.app.live import BusPort, LiveLoop
 from tmde_edge.app.pose_state import PoseKeeper, load_resting, state_path
@@ -58,6 +58,7 @@ def serve(
     `camera` and `depth_network_of` take the place of the configured ones (tests/benchmarks/faults.py breaks them on purpose).
     """
     journal.set_up()
+    one_heap()
     for note in check_parts(config, base_dir):
         log_line(note)
     calibrated = config.camera.camera()

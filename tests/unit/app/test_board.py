@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import os
+import platform
+import subprocess
+import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -80,6 +83,33 @@ def test_free_memory_between_living_blocks_goes_back_to_the_system() -> None:
     board.trim_memory()
     assert resident() < full - 100
     assert len(last) == 100_000
+
+
+_THREADS_TAKE_MEMORY = """
+import sys, threading
+from pathlib import Path
+from tmde_edge.app.board import one_heap
+if sys.argv[1] == "one" and not one_heap():
+    sys.exit("no mallopt")
+taken, gate = [], threading.Barrier(9)
+def take():
+    taken.extend(bytearray(50_000) for _ in range(20))
+    gate.wait()
+for _ in range(8):
+    threading.Thread(target=take).start()
+gate.wait()
+spans = (line.split()[0].split("-") for line in Path("/proc/self/maps").read_text().splitlines() if " ---p " in line)
+print(sum(int(b, 16) - int(a, 16) > 32 << 20 for a, b in spans))  # what each further heap keeps reserved
+"""
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="other C libraries have no heaps for threads")
+def test_threads_share_one_heap() -> None:
+    def heaps(how: str) -> int:
+        command = [sys.executable, "-c", _THREADS_TAKE_MEMORY, how]
+        return int(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+
+    assert heaps("one") < heaps("many")
 
 
 def in_a_thread(work: Callable[[], object]) -> None:
