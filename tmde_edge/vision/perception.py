@@ -247,7 +247,8 @@ class Perception:
             track.sure = track.sure or confident
             return
         enough = confident and size_px(track.corners_px)[0] < SMALL_PX
-        if not enough and track.hits < (1 if confident and not track.doubted else track.needed):
+        worth_asking = (confident and not track.doubted) or track.hits >= track.needed
+        if not enough and not worth_asking:
             return
         judged = reading.platehood is not None  # a reader without an opinion leaves it to finder and hits
         if judged and not enough and self._still.belief(image, candidate, reading) < self._detector.still_belief_min:

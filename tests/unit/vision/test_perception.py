@@ -118,33 +118,34 @@ def test_an_unsure_plate_waits_for_its_second_sighting_a_sure_one_does_not():
     assert _perception(ScriptedSearch([_candidate(score=0.95)])).see(_frame(0)).plates
 
 
-def test_what_is_unsure_and_no_plate_from_closer_up_never_gets_an_identity():
+def _seen_closer(candidate, *, closer_score):
+    """A reader that believes 0.9 in all it reads, and a finder with an opinion from closer up."""
     reader = EchoReader()
     reader.platehood = 0.9
-    facade = ScriptedSearch([_candidate(score=0.5)], closer_score=0.02)
-    p = _perception(facade, reader)
+    search = ScriptedSearch([candidate], closer_score=closer_score)
+    return _perception(search, reader), search
+
+
+def test_what_is_unsure_and_no_plate_from_closer_up_never_gets_an_identity():
+    p, facade = _seen_closer(_candidate(score=0.5), closer_score=0.02)
     assert not any(p.see(_frame(i)).plates for i in range(30))
     assert 5 <= facade.closer_looks <= 12  # it is asked again, but not in every frame
-    plate = ScriptedSearch([_candidate(score=0.5)], closer_score=0.9)
-    p = _perception(plate, reader)
+    p, plate = _seen_closer(_candidate(score=0.5), closer_score=0.9)
     assert [bool(p.see(_frame(i)).plates) for i in range(4)] == [False, True, True, True]
     assert plate.closer_looks == 1
 
 
 def test_high_scores_of_one_frame_are_no_proof_where_the_closer_look_denies_them():
     """As windows in rows: finder 0.74, reader 0.9, together above confident_score; from closer up no plate."""
-    reader = EchoReader()
-    reader.platehood = 0.9
-    facade = ScriptedSearch([_candidate(score=0.74)], closer_score=0.5)
-    p = _perception(facade, reader)
+    p, facade = _seen_closer(_candidate(score=0.74), closer_score=0.5)
     assert not any(p.see(_frame(i)).plates for i in range(30))
     assert 5 <= facade.closer_looks <= 12
-    plate = _perception(ScriptedSearch([_candidate(score=0.74)], closer_score=0.9), reader)
+    plate, _ = _seen_closer(_candidate(score=0.74), closer_score=0.9)
     assert plate.see(_frame(0)).plates  # and a plate is still reported at once
     middle = STILL.corners_px.mean(axis=0)
     far = PlateCandidate(corners_px=middle + 0.25 * (STILL.corners_px - middle), score=0.74)
-    search = ScriptedSearch([far], closer_score=0.5)
-    assert _perception(search, reader).see(_frame(0)).plates  # of 30 px there is no more to see from closer up
+    p, search = _seen_closer(far, closer_score=0.5)
+    assert p.see(_frame(0)).plates  # of 30 px there is no more to see from closer up
     assert search.closer_looks == 0
 
 
