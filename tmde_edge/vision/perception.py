@@ -103,6 +103,7 @@ class Perception:
 
     def _predict(self, track: Track, image: Image, t_ns: int, step_ns: int) -> FlowStep | None:
         """Moves a track to this frame: by its velocity and the camera's pitching, then by flow where that succeeds."""
+        track.shaken_px += self.shaken_px
         guess = track.corners_px + track.velocity_px * step_ns + (0.0, self.shaken_px)
         if not is_convex(guess):
             guess = track.corners_px
@@ -203,7 +204,7 @@ class Perception:
                     reading = washed(reading)
                 if not wanted[i].hurried:
                     track.outlined_ns = t_ns
-                track.hit(wanted[i], reading, t_ns, self.shaken_px)
+                track.hit(wanted[i], reading, t_ns)
                 self._confirm(track, image, wanted[i], reading)
                 if not track.washed:
                     track.looks.learn(view)
@@ -215,7 +216,7 @@ class Perception:
             if steps[i] is not None and track.bridges and track.inside(image.shape[1], image.shape[0]):
                 seen = plate and reading.refined and track.near(reading)
                 carried = reading if seen else without_ink(reading, track.corners_px, track.sigma_px)
-                track.carry(carried, t_ns, self.shaken_px)
+                track.carry(carried, t_ns)
                 plates += self._report(track, carried, wanted[i].score, "flow", image)
         for candidate, reading in zip(fresh, readings[len(tracks) :], strict=True):
             if self._is_plate(reading):
@@ -311,6 +312,7 @@ class Perception:
             if not track.placed:
                 continue
             track.template, track.template_ns = make_template(image, track.corners_px, self._flow), t_ns
+            track.shaken_px = 0.0
             if track.anchor is None and not track.washed:
                 track.anchor, track.anchor_ns = track.template, t_ns
 

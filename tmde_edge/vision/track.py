@@ -45,6 +45,7 @@ class Track:
     placed: bool = True  # in this frame its place was seen, or flow led there; else it is a guess
     template: Template | None = None  # of the last frame in which it was placed
     template_ns: int = 0
+    shaken_px: float = 0.0  # how far down the camera's own pitching has moved the picture since the template, where known
     anchor: Template | None = None  # where the present scale change starts
     anchor_ns: int = 0
     outlined_ns: int = 0  # its outline was last looked for in the image
@@ -95,21 +96,21 @@ class Track:
         off = float(np.abs(reading.corners_px - self.corners_px).max())
         return off <= 3 * self.sigma_px + 0.04 * size_px(self.corners_px)[0]
 
-    def hit(self, candidate: PlateCandidate, reading: PlateReading, t_ns: int, shaken_px: float) -> None:
+    def hit(self, candidate: PlateCandidate, reading: PlateReading, t_ns: int) -> None:
         """Takes a sighting by the detector."""
-        self.carry(reading, t_ns, shaken_px)
+        self.carry(reading, t_ns)
         self.placed = True
         self.score, self.seen_ns = joint_score(candidate, reading), t_ns
         self.hits, self.misses = self.hits + 1, 0
         self.judged = reading.platehood is not None
         self.sigma_px = reading.corners_sigma_px
 
-    def carry(self, reading: PlateReading, t_ns: int, shaken_px: float) -> None:
-        """Moves to where the plate was read; shaken_px: how far down the camera's own pitching moved the picture."""
+    def carry(self, reading: PlateReading, t_ns: int) -> None:
+        """Moves to where the plate was read."""
         if not is_convex(reading.corners_px):
             return
         if self.template is not None and t_ns > self.template_ns:
-            moved = (reading.corners_px - self.template.corners_px).mean(axis=0) - (0.0, shaken_px)
+            moved = (reading.corners_px - self.template.corners_px).mean(axis=0) - (0.0, self.shaken_px)
             moved /= t_ns - self.template_ns
             self.velocity_px = (1 - VELOCITY_SHARE) * self.velocity_px + VELOCITY_SHARE * moved
         self.corners_px = reading.corners_px

@@ -200,6 +200,25 @@ def test_a_picture_thrown_up_and_down_by_bumps_keeps_its_identities():
     assert ids == {1}
 
 
+def test_a_plate_that_was_lost_while_the_camera_pitched_has_no_motion_of_its_own():
+    """Shaken while nothing of it was seen: two frames' pitching lie between the old template and where it is found again."""
+    search = ScriptedSearch([_candidate()])
+    p = _perception(search, search_rate_hz=1000)
+    for i in range(5):
+        p.see(_frame(i))
+    grey = np.full_like(STILL.image, 128)
+    grey[:40] = 20  # nothing to follow, but a picture
+    search.blindfold = True
+    for i, down in ((5, 30.0), (6, 0.0)):
+        p.shaken_px = down
+        p.see(_frame(i, grey))
+    search.plates, search.blindfold, p.shaken_px = [_candidate((0.0, 30.0))], False, 0.0
+    p.see(_frame(7, cv2.warpAffine(STILL.image, np.array([[1.0, 0, 0], [0, 1, 30.0]]), STILL.image.shape[1::-1])))
+    (track,) = p._tracks
+    assert track.hits > 5
+    assert np.abs(track.velocity_px).max() * 33e6 < 1.0
+
+
 def test_a_track_that_hides_where_another_plate_is_seen_is_a_ghost():
     """A jump that nobody announced: the old track is followed on, but its vehicle's plate has another one by now."""
     search = ScriptedSearch([_candidate()])
