@@ -22,6 +22,7 @@ PIXELS_MAX = 1200
 PIXELS_MIN = 60
 HUBER_SIGMAS = 2.0
 EXPLAINED_MIN = 0.3  # rears in drives: 0.6 to 1.0; in clipped glare 0.5; what is not the same thing: about 0
+SPREAD_MIN_GREY = 2.0  # a blank picture is explained by any template whose contrast is taken away
 CORRELATED_PX = 4.0  # neighbours that share one independent residual: interpolation, demosaicing, compression
 NOISE_FLOOR_GREY = 1.0
 _CENTRAL = np.array([[-0.5, 0.0, 0.5]], np.float32)
@@ -107,7 +108,7 @@ def align(
     # the share of what the later patch varies by that the template explains
     spread = seen[inside] - seen[inside].mean()
     explained = 1.0 - float((weights[inside] * left[inside] ** 2).sum() / max(float((weights[inside] * spread**2).sum()), 1e-9))
-    if explained < EXPLAINED_MIN:
+    if explained < EXPLAINED_MIN or float(spread.std()) < SPREAD_MIN_GREY:
         return None
     covariance = np.linalg.inv(normal) * sigma**2 * max(1.0, CORRELATED_PX / skip)
     linear = np.array([[m.real, -m.imag], [m.imag, m.real]])

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import plate_still
 
-from tmde_edge.vision.flow import fit_similarity, follow, grow, make_template
+from tmde_edge.vision.flow import fit_similarity, follow, follow_rear, grow, make_template
 from tmde_edge.vision.settings import FlowSettings
 
 FLOW = FlowSettings()
@@ -71,6 +71,19 @@ def test_nothing_to_follow_gives_none():
     assert follow(template, flat, corners, FLOW) is None
     assert grow(template, flat, corners, FLOW) is None
     assert make_template(flat, corners + 1000, FLOW) is None
+
+
+@pytest.mark.parametrize("grey", [128, 40])
+def test_a_blank_picture_is_no_vehicle_that_stands_still(grey):
+    """A template without contrast explains it perfectly: fog, a hand, a wiper's water would say "it does not come nearer"."""
+    still = plate_still("us-mi", 120, seed=2)
+    template = make_template(still.image, still.corners_px, FlowSettings())
+    blank = np.full_like(still.image, grey)
+    assert template is not None
+    assert grow(template, blank, still.corners_px, FlowSettings()) is None
+    assert follow_rear(template, blank, still.corners_px, FlowSettings()) is None
+    faint = np.asarray(128 + 0.3 * (still.image.astype(np.float32) - 128), np.uint8)
+    assert grow(template, faint, still.corners_px, FlowSettings()) is not None
 
 
 def test_the_template_is_a_copy():
