@@ -25,6 +25,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from tmde_edge.app.eyes import Eyes
 from tmde_edge.app.wiring import build_eyes
 from tmde_edge.config import from_tree
 from tmde_edge.geometry.pinhole import Camera
@@ -68,22 +69,32 @@ class Shot:
     drawn: bool  # sizes drawn within the law, instead of nominal
     distance_m: float
     true_corners_px: Any
-    plate: PlateSighting | None
+    plate: PlateSighting | None  # by eyes that expect its standard
+    unknown: PlateSighting | None  # by eyes that expect any; of sizes drawn within the law only
 
 
 def shots(standards: tuple[str, ...], widths_px: tuple[int, ...], seeds: range) -> Iterator[Shot]:
-    eyes = build_eyes(from_tree({"plates": {"expect": ["auto"]}, "runtime": {"threads": 1}}, "benchmark"), time.perf_counter_ns)
+    eyes = {name: _eyes(name) for name in ("auto", *standards)}
     for i in seeds:
         for name in standards:
             for width_px in widths_px:
                 drawn = bool(i % 2)
                 still = _still(name, width_px, i, drawn)
-                sighting = eyes.see_still(Frame(t_ns=0, index=i, image=still.image))
-                near = [p for p in sighting.plates if _off_px(p, still) < 0.3 * width_px]
+                frame = Frame(t_ns=0, index=i, image=still.image)
                 yield Shot(
                     standard=name, width_px=width_px, drawn=drawn, distance_m=still.distance_m,
-                    true_corners_px=still.corners_px, plate=near[0] if near else None,
+                    true_corners_px=still.corners_px, plate=_seen(eyes[name], frame, still),
+                    unknown=_seen(eyes["auto"], frame, still) if drawn else None,
                 )  # fmt: skip
+
+
+def _eyes(expect: str) -> Eyes:
+    return build_eyes(from_tree({"plates": {"expect": [expect]}, "runtime": {"threads": 1}}, "benchmark"), time.perf_counter_ns)
+
+
+def _seen(eyes: Eyes, frame: Frame, still: Still) -> PlateSighting | None:
+    near = (p for p in eyes.see_still(frame).plates if _off_px(p, still) < 0.3 * still.width_px)
+    return next(near, None)
 
 
 def _off_px(plate: PlateSighting, still: Still) -> float:
@@ -132,13 +143,13 @@ def _rows(found: list[Shot], auto: Ranger, known: dict[str, Ranger]) -> list[dic
     rows = []
     for s in found:
         row: dict[str, Any] = {"standard": s.standard, "width": s.width_px, "drawn": s.drawn, "e": None}
+        for name, plate, ranger in (("", s.plate, known[s.standard]), ("auto_", s.unknown, auto)):
+            m = None if plate is None else ranger.measure(plate, CAMERA, np.eye(3), 0)[0]
+            if m is None:
+                continue
+            row[name + "e"], row[name + "sigma"] = m.distance_m / s.distance_m - 1, m.sigma_m / s.distance_m
+            row[name + "id"] = m.standard
         if s.plate is not None:
-            for name, ranger in (("", known[s.standard]), ("auto_", auto)):
-                m, _, _ = ranger.measure(s.plate, CAMERA, np.eye(3), 0)
-                if m is None:
-                    continue
-                row[name + "e"], row[name + "sigma"] = m.distance_m / s.distance_m - 1, m.sigma_m / s.distance_m
-                row[name + "id"] = m.standard
             off = np.array(s.plate.corners_px) - s.true_corners_px
             row["corner"], row["coordinate"] = float(np.median(np.hypot(*off.T))), float(np.median(np.abs(off)))
         rows.append(row)

@@ -32,6 +32,9 @@ WHOLE_SHARE = 0.85
 # As seen: dark holders hide dark borders (Romanian plates, all of one size, scatter by 3 % on roads, with characters' errors).
 WHOLE_SIGMA = 0.025
 SHORTER, SHORTER_SIGMA = 0.06, 0.06  # log: how much shorter the others are (460 mm is the next German blank: 0.12)
+# Chance that a plate shows a printed line round it where its standard has one, has none, or does not say: series differ, and
+# makers draw lines that no law asks for.
+LINE_SHARE = {True: 0.95, False: 0.05, None: 0.5}
 # Nobody states the limits to the last 0.1 mm of what is stamped: no tolerance is believed tighter than this.
 LEAST_SIGMA = 0.002
 
@@ -95,6 +98,7 @@ class PlateStandard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     plate_height: Size | None = None
     width_floats: bool = False  # the law bounds the width or lets it be cut: most have it whole, the others any
     border: Size | None = None
+    border_line: bool | None = None  # whether such a line is printed round it, where its thickness is not known; None: not known
     border_inset: Size | None = None
     group_gap: Size | None = None
     margin_tb: Size | None = None  # clear above and below the characters
@@ -144,6 +148,11 @@ class PlateStandard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         whole = self.plate_width.mm
         shorter = whole * math.exp(-SHORTER)
         return (WHOLE_SHARE, whole, WHOLE_SIGMA * whole), (1 - WHOLE_SHARE, shorter, SHORTER_SIGMA * shorter)
+
+    @property
+    def line_share(self) -> float:
+        """Chance that one of these plates shows a printed line round it, 0 to 1."""
+        return LINE_SHARE[True if self.border is not None else self.border_line]
 
     def pitch_belief(self) -> tuple[float, float] | None:
         """Centre-to-centre distance of neighbouring main characters and its sigma in mm, or None.
@@ -216,6 +225,11 @@ def select(expect: Sequence[str]) -> tuple[PlateStandard, ...]:
             raise ConfigError(f"plates.expect: unknown plate standard {name!r}; {hint}")
         chosen.update((s.id, s) for s in hits)
     return tuple(chosen.values())
+
+
+def line_share(standards: Sequence[PlateStandard]) -> float:
+    """Chance that a plate of one of these standards shows a printed line round it, by how common each is."""
+    return sum(s.weight * s.line_share for s in standards) / sum(s.weight for s in standards)
 
 
 def _names(standard: PlateStandard) -> tuple[str, ...]:

@@ -17,6 +17,7 @@ _STROKE_PER_HEIGHT = 0.14
 _GAP_PER_HEIGHT = 0.13
 _GROUP_GAP_PER_HEIGHT = 0.45
 _BAND_MM = 40.0
+_LINE_MM = 3.0  # of a border line of unknown thickness
 _LETTERS, _DIGITS = "ABCDEFGHJKLMNPRSTUVWXYZ", "0123456789"
 _COLOURS: dict[str, Colour] = {
     "white": (236, 240, 240), "yellow": (40, 190, 240), "black": (22, 22, 24), "blue": (150, 60, 20),
@@ -63,7 +64,7 @@ def standard_face(name: str, text: str | None = None, *, seed: int | None = None
     standard = standard_named(name)
     rng = None if seed is None else np.random.default_rng(seed)
     rows = _rows(standard, text)
-    border = _size(standard.border, rng, 0.0 if standard.country.startswith("US") else 3.0)
+    border = _size(standard.border, rng, 0.0 if standard.border_line is False else _LINE_MM)
     inset = _size(standard.border_inset, rng, 2.0 if border else 0.0)
     usual = 0.6 * _size(standard.plate_height, None, 120.0) / len(rows)
     classes = {key: _Glyphs.of(glyph, rng, usual) for key, glyph in standard.glyphs.items()}

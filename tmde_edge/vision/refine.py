@@ -16,7 +16,8 @@ from tmde_edge.vision.edge_steps import BORDER_OF_HEIGHT, SAME_STEP_PX, Tried, l
 from tmde_edge.vision.protocols import Image
 from tmde_edge.vision.rectify import bounds, is_convex, size_px
 
-BAND_LINE_COST = 3.0  # of a border line beyond a blue band: few have one
+AGREE_ROUNDS = 3
+BAND_LINE_COST = 3.0  # of a border line beyond a blue band on a plate that has none else
 GIVEN_OF_HEIGHT = 0.06  # one sigma of the given outline, in plate heights
 GOOD_MISFIT = 1.5
 MISFIT_COST, LEAST_MISFIT = 6.0, 0.2  # of one step against another: so much for each factor e of the misfit
@@ -27,8 +28,11 @@ MIN_REACH_PX = 2.5
 MOVED_SIGMAS = 4.0  # a side further than this from the given outline is another edge
 NO_LINE_PX = 0.1  # thinner is none
 ODD_SIDE = 0.2  # chance that a side shows no border line though the plate has one, or something like one though it has none
+# The given outline's error in its own sigmas: what all sides share (three quarters of it on rendered stills); each one's rest.
+OFF_TOGETHER, OFF_EACH = 1.5, 1.2
 REACH_OF_HEIGHT = 0.13  # how far from the given outline an edge is looked for, in plate heights
 SAMPLES = 32  # of a profile on either side of the given outline
+UNEXPECTED = 0.2  # chance of a border line, or of none, below which a side that seems to show it is looked at again
 TILT_OF_HEIGHT = 0.12  # how much the two ends of a side may move against each other
 
 
@@ -44,11 +48,13 @@ class OutlineFit:
 
 
 def refine_outline(
-    image: Image, corners_px: Array, given_sigma_px: float | None = None, light_on_dark: bool | None = None
+    image: Image, corners_px: Array, given_sigma_px: float | None = None, light_on_dark: bool | None = None,
+    line_share: float = 0.5,
 ) -> OutlineFit:
     """The outline near the given corners that the image itself shows; given_sigma_px: how well those are believed.
 
-    light_on_dark: the plate's polarity where it is known.
+    light_on_dark: the plate's polarity where it is known. line_share: chance that a printed line runs round it, 0 to 1; where
+    line and margin are narrower than a pixel, nothing else tells on which side of them the plate ends.
 
     A side that shows no edge or leaves the image stays where it was, with the given sigma (a quarter of the search reach where
     none is given), and so does one whose edge is less sure than that or far away. `refined` is False when a side stayed; of a
@@ -72,7 +78,8 @@ def refine_outline(
     if banded is not None and not dark and (banded.right or banded.left):  # in blue a band is nearly as bright as the ground
         blue = grey_patch(image[..., 0], corners_px, margin)[0]
         patches = [patch, blue if banded.right else patch, patch, blue if banded.left else patch]
-    sides = _fit_sides(patches, corners_px - shift, reach, tilt_px, height_px, given_sigma_px or GIVEN_OF_HEIGHT * height_px)
+    sides = _fit_sides(patches, corners_px - shift, reach, tilt_px, height_px, given_sigma_px or GIVEN_OF_HEIGHT * height_px,
+                       line_share)
     unmoved = reach / 4
     if given_sigma_px is not None:
         unmoved = given_sigma_px
@@ -118,7 +125,7 @@ def _dark_ground(patch: NDArray[np.float32], corners_px: Array) -> bool:
 
 def _fit_sides(
     patches: list[NDArray[np.float32]], corners_px: Array, reach: float, tilt_px: float, height_px: float,
-    given_sigma_px: float,
+    given_sigma_px: float, line_share: float,
 ) -> list[Side | None]:
     """The plate's edge near each side: direction, a step's pieces, then the edge model; None where none shows.
 
@@ -137,7 +144,7 @@ def _fit_sides(
     for more in (False, True):
         tried: list[Tried] = []
         for i, look in enumerate(looks):
-            if look is None or (more and any(_good(f, given_sigma_px) for _, f in here[i])):
+            if look is None or (more and any(_good(f, given_sigma_px, line_share) for _, f in here[i])):
                 continue
             offsets = look.offsets_px[1:] if more else look.offsets_px[:1]
             before = [t for t, _ in here[i]]
@@ -156,36 +163,63 @@ def _fit_sides(
         for t, both in zip(tried, fits, strict=True):
             here[t.i] += [(t, fit) for fit in (both[:1] if t.to_valley else both)]
     low_px = LOW_SIGMA_PX * (LOW_HEIGHT_PX / height_px) ** 2
-    costs = [_costs(found, given_sigma_px) for found in here]
-    lined = [_lined(found) for found in here]
-    odds = [_lined_cost(fits, cost) for fits, cost in zip(lined, costs, strict=True)]
-    total = sum(odds)
-    return [
-        _chosen(found, cost + _unlike_others(fits, total - own), low_px) if found else None
-        for found, cost, fits, own in zip(here, costs, lined, odds, strict=True)
-    ]
+    seen = [found for found in here if found]
+    costs = iter(_costs(seen, given_sigma_px, line_share))
+    return [_chosen(found, next(costs), low_px) if found else None for found in here]
 
 
-def _good(fit: EdgeFit, given_sigma_px: float) -> bool:
-    """Whether an edge is explained so well that no other one needs a look."""
-    return fit.misfit < GOOD_MISFIT and abs(fit.line_off) < 1.5 and abs(fit.x_px) < 2 * given_sigma_px
+def _good(fit: EdgeFit, given_sigma_px: float, line_share: float) -> bool:
+    """Whether an edge is explained so well, and as it is expected, that no other one needs a look."""
+    expected = line_share if fit.thickness_px > NO_LINE_PX else 1 - line_share
+    well = fit.misfit < GOOD_MISFIT and abs(fit.line_off) < 1.5 and abs(fit.x_px) < 2 * given_sigma_px
+    return well and expected > UNEXPECTED
 
 
-def _costs(tried: list[tuple[Tried, EdgeFit]], given_sigma_px: float) -> Array:
-    """-2 log credibility (n,) of a side's fits, by themselves."""
+def _costs(sides: list[list[tuple[Tried, EdgeFit]]], given_sigma_px: float, line_share: float) -> list[Array]:
+    """-2 log credibility (n,) of each side's fits, by themselves and by what the other sides show.
+
+    A plate has a border line all round or none, of which a frame may hide some; and a given outline is too large or too small
+    as a whole more than it is skew: with each of both, line or none, the sides' most credible fits agree on that.
+    """
+    if not sides:
+        return []
+    own = [_own_costs(tried) for tried in sides]
+    places = [np.array([f.x_px for _, f in tried]) for tried in sides]
+    lined = [(_lined(tried), tried[0][0].band) for tried in sides]
+    with_line, without = (
+        _about_common_offset([o + _oddness(*fits, has_line) for o, fits in zip(own, lined, strict=True)], places, given_sigma_px)
+        for has_line in (True, False)
+    )
+    odds = float(np.log(line_share / (1 - line_share)))
+    return [-2 * np.logaddexp(odds - 0.5 * a, -0.5 * b) for a, b in zip(with_line, without, strict=True)]
+
+
+def _own_costs(tried: list[tuple[Tried, EdgeFit]]) -> Array:
+    """-2 log credibility (n,) of a side's fits by how they explain what is seen there."""
     misfit = np.array([MISFIT_COST * np.log(max(f.misfit, LEAST_MISFIT)) for _, f in tried])
     blind = np.array([LEFT_OUT_COST * t.to_valley for t, _ in tried])
-    line = np.array([0.5 * f.line_off**2 + (BAND_LINE_COST if t.band and f.thickness_px > NO_LINE_PX else 0.0) for t, f in tried])
-    return np.asarray(misfit + blind + line + np.array([(f.x_px / given_sigma_px) ** 2 for _, f in tried]), np.float64)
+    line = np.array([0.5 * f.line_off**2 for _, f in tried])
+    return np.asarray(misfit + blind + line, np.float64)
 
 
-def _lined(tried: list[tuple[Tried, EdgeFit]]) -> NDArray[np.bool_] | None:
-    """Which fits (n,) are of a plate with a border line: the line's own, and a step where such a one from farther in ends.
+def _about_common_offset(costs: list[Array], places: list[Array], given_sigma_px: float) -> list[Array]:
+    """Costs of all sides' fits, each with the other sides' best, where the given outline is off by one offset and a rest.
 
-    None where nothing was tried, and beside a band: that tells nothing of a line.
+    places: offsets of the fits, one array a side.
     """
-    if not tried or tried[0][0].band:
-        return None
+    rest, common = (OFF_EACH * given_sigma_px) ** -2, (OFF_TOGETHER * given_sigma_px) ** -2
+    offset = 0.0
+    for _ in range(AGREE_ROUNDS):
+        here = [c + rest * (x - offset) ** 2 for c, x in zip(costs, places, strict=True)]
+        best = [float(x[int(h.argmin())]) for h, x in zip(here, places, strict=True)]
+        offset = rest * sum(best) / (rest * len(best) + common)
+    here = [c + rest * (x - offset) ** 2 for c, x in zip(costs, places, strict=True)]
+    total = sum(float(h.min()) for h in here) + common * offset**2
+    return [h + (total - float(h.min())) for h in here]
+
+
+def _lined(tried: list[tuple[Tried, EdgeFit]]) -> NDArray[np.bool_]:
+    """Which fits (n,) are of a plate with a border line: the line's own, and a step where such a one from farther in ends."""
     ends = [(t, f.x_px) for t, f in tried if f.thickness_px > NO_LINE_PX]
     return np.array([
         f.thickness_px > NO_LINE_PX or any(t is not other and abs(f.x_px - x) < SAME_STEP_PX for other, x in ends)
@@ -193,21 +227,14 @@ def _lined(tried: list[tuple[Tried, EdgeFit]]) -> NDArray[np.bool_] | None:
     ], np.bool_)  # fmt: skip
 
 
-def _lined_cost(lined: NDArray[np.bool_] | None, cost: Array) -> float:
-    """-2 log of the odds that a side gives a plate with a border line; 0 where it says nothing or one kind only was tried."""
-    if lined is None or not lined.any() or lined.all():
-        return 0.0
-    with_line, without = np.exp(-0.5 * (cost[lined].min() - cost.min())), np.exp(-0.5 * (cost[~lined].min() - cost.min()))
-    other = ODD_SIDE * (with_line + without)
-    return float(-2 * np.log((with_line + other) / (without + other)))
+def _oddness(lined: NDArray[np.bool_], band: bool, has_line: bool) -> Array:
+    """-2 log of the chance (n,) that a side of a plate with a line, or without one, looks like each of its fits.
 
-
-def _unlike_others(lined: NDArray[np.bool_] | None, lined_cost: float) -> Array | float:
-    """Cost (n,) of a side's fits by the other sides' odds: a plate has a border line all round or none; a frame hides some."""
-    if lined is None:
-        return 0.0
-    share = 1 / (1 + np.exp(np.clip(0.5 * lined_cost, -30.0, 30.0)))  # of belief that the plate has a line
-    return np.asarray(-2 * np.log(ODD_SIDE + (1 - 2 * ODD_SIDE) * np.where(lined, share, 1 - share)), np.float64)
+    A blue band is printed over the line, or inside it: only a plate without any has none there for sure.
+    """
+    if band:
+        return np.where(lined, 0.0 if has_line else BAND_LINE_COST, 0.0)
+    return np.asarray(-2 * np.log(np.where(lined == has_line, 1 - ODD_SIDE, ODD_SIDE)), np.float64)
 
 
 def _chosen(tried: list[tuple[Tried, EdgeFit]], cost: Array, low_px: float) -> Side:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tmde_edge.errors import ConfigError
-from tmde_edge.plates.standard import PlateStandard, Size, load_standards, parse_standards, select, sizes
+from tmde_edge.plates.standard import PlateStandard, Size, line_share, load_standards, parse_standards, select, sizes
 
 SHARED = Path(os.environ.get("TMDE_SHARED", "../shared"))
 GOOD = """
@@ -149,3 +149,10 @@ def test_numbers_are_those_of_the_research_table() -> None:
             if r[column]:
                 assert size is not None, (r["id"], column)
                 assert size.mm == float(r[column]), (r["id"], column)
+
+
+def test_the_chance_of_a_border_line_is_what_the_expected_standards_have() -> None:
+    assert line_share(select(["de-mittel"])) == line_share(select(["ru"])) == 0.95
+    assert line_share(select(["gb"])) == 0.05
+    assert line_share(select(["eu-generic"])) == 0.5
+    assert 0.05 < line_share(select(["gb-2001", "ru-1"])) < 0.95

@@ -12,7 +12,7 @@ from scenes import plate_still
 from tmde_edge.vision.bands import with_bands
 from tmde_edge.vision.edge_model import EdgeFit, fit_edges
 from tmde_edge.vision.edge_steps import Tried, first_step
-from tmde_edge.vision.refine import _lined, _lined_cost, _unlike_others, refine_outline
+from tmde_edge.vision.refine import _costs, refine_outline
 
 
 def _nudged(corners, width_px, seed):
@@ -204,26 +204,49 @@ def test_model_finds_the_edge_behind_an_unresolved_border():
     assert border.thickness_px == pytest.approx(2.0, abs=0.3)
 
 
-def _tried(plain_cost, lined_cost):
-    """A step's fits without and with a border line, and what each costs by itself."""
+def _tried(plain_cost, plain_px=0.0, lined_px=0.8):
+    """A step's fits without and with a border line; plain_cost: by how much the plain one explains it worse."""
     step = Tried(
         i=0, side=None, profile=np.zeros(3), start_px=0.0, inner_px=-1.0, outer_px=1.0, text_px=float("nan"), valley_px=None,
     )  # fmt: skip
-    fit = EdgeFit(x_px=0.0, sigma_px=0.1, spread_px=0.6, thickness_px=0.0, misfit=1.0, line_off=0.0)
-    return [(step, fit), (step, replace(fit, x_px=0.8, thickness_px=0.5))], np.array([plain_cost, lined_cost])
+    fit = EdgeFit(x_px=plain_px, sigma_px=0.1, spread_px=0.6, thickness_px=0.0, misfit=np.exp(plain_cost / 6), line_off=0.0)
+    return [(step, fit), (step, replace(fit, x_px=lined_px, misfit=1.0, thickness_px=0.5))]
 
 
 @pytest.mark.parametrize(
-    ("own", "others", "lined"), [(-1.0, -8.0, True), (-1.0, 8.0, False), (1.0, 8.0, False), (-6.0, -8.0, False)]
+    ("own", "others", "share", "lined"),
+    [
+        (-1.0, 4.0, 0.5, True),
+        (-1.0, -4.0, 0.5, False),
+        (1.0, -4.0, 0.5, False),
+        (-6.0, 4.0, 0.5, False),  # a frame hides the line here
+        (-0.5, -0.5, 0.9, True),  # nothing tells: the standard does
+        (0.5, 0.5, 0.1, False),
+    ],
 )
-def test_a_side_that_is_in_doubt_about_its_border_line_follows_the_others(own, others, lined):
-    """own: by how much the plain step is the better one; others: the odds of the other sides, -2 log."""
-    tried, cost = _tried(own, 0.0)
-    total = cost + _unlike_others(_lined(tried), others)
-    assert bool(total.argmin() == 1) == lined
+def test_a_side_that_is_in_doubt_about_its_border_line_follows_the_others_and_the_standard(own, others, share, lined):
+    """own, others: by how much the plain step explains this side, and each other one, worse."""
+    sides = [_tried(own), *[_tried(others)] * 3]
+    assert bool(_costs(sides, 5.0, share)[0].argmin() == 1) == lined
 
 
-def test_odds_of_a_side_are_bounded():
-    for cost in (-50.0, 50.0):
-        tried, costs = _tried(cost, 0.0)
-        assert abs(_lined_cost(_lined(tried), costs)) == pytest.approx(2 * np.log(1.2 / 0.2))
+def test_an_outline_that_is_too_small_is_too_small_on_all_sides():
+    """Where one side shows two edges alike, the one that is as far out as the other sides' edges is the plate's."""
+    clear = [_tried(50.0, lined_px=2.0)] * 3
+    assert _costs([_tried(0.0, 0.0, 2.0), *clear], 1.0, 0.5)[0].argmin() == 1
+    clear = [_tried(-50.0, plain_px=0.0)] * 3
+    assert _costs([_tried(0.0, 0.0, 2.0), *clear], 1.0, 0.5)[0].argmin() == 0
+
+
+@pytest.mark.parametrize(("standard", "right"), [("ru-1", 0.95), ("gb-2001", 0.05)])
+def test_knowing_the_standard_tells_on_which_side_of_an_unresolved_line_a_plate_ends(standard, right):
+    """At 60 px line and margin are half a pixel together: with the wrong belief the plate is read a per cent off."""
+    off = {right: [], 1 - right: []}
+    for seed in range(8):
+        still = plate_still(standard, 60, seed=seed)
+        true_px = float(np.hypot(*(still.corners_px[1] - still.corners_px[0])))
+        for share, errors in off.items():
+            fit = refine_outline(still.image, _nudged(still.corners_px, 60, seed), 0.5, False, share)
+            errors.append(float(np.hypot(*(fit.corners_px[1] - fit.corners_px[0]))) - true_px)
+    assert np.abs(off[right]).mean() < 0.4
+    assert np.abs(off[right]).mean() < 0.7 * np.abs(off[1 - right]).mean()

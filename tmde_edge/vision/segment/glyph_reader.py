@@ -22,8 +22,9 @@ from tmde_edge.vision.settings import SegmenterSettings
 
 Array = NDArray[np.float64]
 FLOOR_SIGMA_PX = 0.15  # the network's own, at best
-NETWORK_SHARE = 0.6  # in the tops and bottoms of characters up to BOTH_PX high; measured on rendered stills of ten standards
-BOTH_PX, CROSSING_ALONE_PX = 13.0, 17.0
+# The network's share in the edges of characters so high, px; measured on rendered stills of ten standards.
+SHARE_TB = ((7.0, 0.85), (8.5, 0.6), (12.5, 0.6), (15.0, 0.0))  # tops and bottoms
+SHARE_LR = ((9.0, 1.0), (12.0, 0.0))  # left and right edges: of small ones blur fills the gaps to the neighbours
 BORDER_HEIGHT_PX = 24.0  # on lower plates no border line is wider than a pixel: nothing to measure
 LOW_PLATE_PX = 5.0  # of plates about so high the network's corners err twice as much as it says (rendered stills)
 INKED_COUNT_MIN = 4  # fewer characters tell nothing about the plate's ink
@@ -47,9 +48,11 @@ class GlyphNetwork(Protocol):
 class GlyphReader:
     """Reads candidates with GlyphNet in one batch; outline and glyph edges are then refined where they are plates."""
 
-    def __init__(self, network: GlyphNetwork, settings: SegmenterSettings) -> None:
+    def __init__(self, network: GlyphNetwork, settings: SegmenterSettings, line_share: float = 0.5) -> None:
+        """line_share: chance that a printed line runs round a plate, by the expected standards."""
         self._network = network
         self._settings = settings
+        self._line_share = line_share
 
     def read(self, image: Image, candidates: list[PlateCandidate]) -> list[PlateReading]:
         """One reading per candidate, in order, in source pixels."""
@@ -111,7 +114,7 @@ class GlyphReader:
             return replace(given, corners_px=banded.corners_px, refined=True)
         if not self._settings.refine:
             return given
-        fit = refine_outline(image, given.corners_px, given.sigma_px, light_on_dark)
+        fit = refine_outline(image, given.corners_px, given.sigma_px, light_on_dark, self._line_share)
         if not fit.side_sigma_px:
             return replace(given, corners_px=fit.corners_px)
         return replace(fit, corners_px=steadied(fit.corners_px, fit.sigma_px))
@@ -173,17 +176,18 @@ def _of_one_ink(view: FlatView, boxes: Array, reading: GlyphReading) -> NDArray[
 
 
 def _with_network(boxes: Array, edges: Array, sigma: Array, per_px: float) -> tuple[Array, Array]:
-    """Tops and bottoms of small characters: the half-contrast edges and the network's own, which err independently.
+    """Edges of small characters: the half-contrast edges and the network's own, which err independently.
 
     Blur and compression make the crossing of a narrow top come out short by up to half a pixel; the network has seen such
     characters drawn, but rounds large ones to its grid. What the two differ by is part of the sigma.
     """
     height_px = (edges[:, 3] - edges[:, 1]) / per_px
-    share = NETWORK_SHARE * np.clip((CROSSING_ALONE_PX - height_px) / (CROSSING_ALONE_PX - BOTH_PX), 0.0, 1.0)
     mixed, spread = edges.copy(), sigma.copy()
-    apart = boxes[:, [1, 3]] - edges[:, [1, 3]]
-    mixed[:, [1, 3]] += share[:, None] * apart
-    spread[:, 0] = np.sqrt(sigma[:, 0] ** 2 + share * (1 - share) * np.mean(apart**2, axis=1))
+    for column, pair, (at_px, shares) in ((0, [1, 3], zip(*SHARE_TB, strict=True)), (1, [0, 2], zip(*SHARE_LR, strict=True))):
+        share = np.interp(height_px, at_px, shares)
+        apart = boxes[:, pair] - edges[:, pair]
+        mixed[:, pair] += share[:, None] * apart
+        spread[:, column] = np.sqrt(sigma[:, column] ** 2 + share * (1 - share) * np.mean(apart**2, axis=1))
     return mixed, spread
 
 

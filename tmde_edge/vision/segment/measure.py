@@ -32,12 +32,15 @@ def box_edges(flat: Image, boxes: Array, light_on_dark: bool) -> tuple[Array, Ar
         reach = max(2, round(0.14 * (y1 - y0)))
         ya, yb = max(0, y0 - reach), min(flat.shape[0] - 1, y1 + reach)
         tall = _strongest(ink[ya : yb + 1, x0 : x1 + 1], axis=1)
-        out[i, 1], s_top = _crossing(tall, top - ya, reach, ya, rising=True)
-        out[i, 3], s_bottom = _crossing(tall, bottom - ya, reach, ya, rising=False)
+        above, below = _ground(tall, top - ya, rising=True), _ground(tall, bottom - ya, rising=False)
+        out[i, 1], s_top = _crossing(tall, top - ya, reach, ya, above, rising=True)
+        out[i, 3], s_bottom = _crossing(tall, bottom - ya, reach, ya, below, rising=False)
         xa, xb = max(0, x0 - reach), min(flat.shape[1] - 1, x1 + reach)
         wide = _strongest(ink[y0 : y1 + 1, xa : xb + 1], axis=0)
-        out[i, 0], s_left = _crossing(wide, left - xa, reach, xa, rising=True)
-        out[i, 2], s_right = _crossing(wide, right - xa, reach, xa, rising=False)
+        # blur fills the gap to a neighbour: half of what is left of its contrast would lie inside the character
+        paper = min(above, below, _ground(wide, left - xa, rising=True), _ground(wide, right - xa, rising=False))
+        out[i, 0], s_left = _crossing(wide, left - xa, reach, xa, paper, rising=True)
+        out[i, 2], s_right = _crossing(wide, right - xa, reach, xa, paper, rising=False)
         sigma[i] = hypot(s_top, s_bottom) / sqrt(2), hypot(s_left, s_right) / sqrt(2)
     return out, sigma
 
@@ -52,16 +55,22 @@ def _strongest(ink: Image, axis: int) -> list[float]:
     return means
 
 
-def _crossing(profile: list[float], at: float, reach: int, start: int, *, rising: bool) -> tuple[float, float]:
+def _ground(profile: list[float], at: float, *, rising: bool) -> float:
+    """The profile's minimum outside of an edge at `at`."""
+    return min(profile[: max(1, int(at) + 1)] if rising else profile[min(len(profile) - 1, ceil(at)) :])
+
+
+def _crossing(
+    profile: list[float], at: float, reach: int, start: int, ground: float, *, rising: bool
+) -> tuple[float, float]:
     """Where the profile crosses half contrast nearest to `at` (index units), plus start; and its sigma.
 
-    Levels: the profile's median in the glyph's middle third is ink, its minimum outside within reach is ground.
+    Levels: the profile's median in the glyph's middle third is ink; `ground` is given.
     A short list of numbers: plain arithmetic is several times quicker here than arrays.
     """
     n = len(profile)
     body = sorted(profile[n // 3 : n - n // 3])
     ink = body[len(body) // 2]
-    ground = min(profile[: max(1, int(at) + 1)] if rising else profile[min(n - 1, ceil(at)) :])
     contrast = ink - ground
     if contrast < 10:
         return at + start, 1.0
