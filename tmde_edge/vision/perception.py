@@ -25,6 +25,7 @@ from tmde_edge.vision.track import Track, associate, without_doubles
 
 EARLY_NS = 2_000_000  # a search may run this much before it is due: frame times jitter
 LONGEST_STEP_NS = 1_000_000_000  # after a gap longer than this between frames no track is carried over
+SMALL_SHARE = 0.5  # of the belief that is asked of larger plates
 SMALL_PX = 40.0  # a plate narrower than this shows no more from closer up
 ASKED_AGAIN_HITS = 3  # more hits before what did not look like a plate from closer up is looked at again
 LONG_LOST_MISSES = 4  # a plate missed for longer is looked for in every other frame only, and not beside a full search
@@ -240,19 +241,21 @@ class Perception:
         """Gives an identity to what seems sure, or was seen often enough, and looks like a plate from closer up too.
 
         A facade far ahead changes as little from frame to frame as a plate does: more hits alone say nothing new. And one
-        frame's high scores are no proof: windows in rows have fooled finder and reader together. Of what is small there is no
-        more to see from closer up; where finder and reader are sure of it, that is enough.
+        frame's high scores are no proof: windows in rows have fooled finder and reader together. Of what is small there is little
+        more to see from closer up: where finder and reader are sure of it, that is enough, or once it was doubted, half as much.
         """
         confident = track.score >= self._detector.confident_score
         if track.id:
             track.sure = track.sure or confident
             return
-        enough = confident and size_px(track.corners_px)[0] < SMALL_PX
-        worth_asking = (confident and not track.doubted) or track.hits >= track.needed
-        if not enough and not worth_asking:
+        clear = confident and size_px(track.corners_px)[0] < SMALL_PX  # as clear as something so small can be
+        enough = clear and not track.doubted
+        worth_asking = clear or (confident and not track.doubted) or track.hits >= track.needed
+        if not worth_asking:
             return
         judged = reading.platehood is not None  # a reader without an opinion leaves it to finder and hits
-        if judged and not enough and self._still.belief(image, candidate, reading) < self._detector.still_belief_min:
+        belief_min = self._detector.still_belief_min * (SMALL_SHARE if clear else 1.0)
+        if judged and not enough and self._still.belief(image, candidate, reading) < belief_min:
             track.doubted, track.needed = True, track.hits + ASKED_AGAIN_HITS
             return
         track.id, track.sure = self._next_id, confident

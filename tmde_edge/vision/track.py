@@ -20,6 +20,7 @@ MISSES = 2  # frames in a row without a sighting that end a track before it was 
 REAR_LOST_NS = 250_000_000  # a vehicle whose rear flow has not followed for this long is lost
 SETTLED_NS = 250_000_000  # the finder itself looks at a settled track again after this long
 SETTLED_SIGMA = 0.15  # of a plate's height: a prediction this good needs no search, the reader's crop holds the plate
+GROWN_UNSEEN = 2.0  # times its width when it was last seen
 GHOST_MISSES = 3  # frames without a sighting, before another plate on its vehicle ends a track
 SAME_PLATE_IOU = 0.15  # overlap with the predicted box that makes a candidate the same plate
 
@@ -31,6 +32,7 @@ class Track:
     corners_px: Array
     score: float
     seen_ns: int  # last detection
+    seen_px: float = field(init=False)  # its width then
     hits: int = 1
     misses: int = 0  # frames since the last hit
     found_ns: int = 0  # last time that the finder itself saw it, and how sure it was
@@ -52,6 +54,9 @@ class Track:
     rear_ns: int = 0  # the vehicle's rear was last followed
     washed: bool = False  # too bright to be measured in the last frame
     looks: Looks = field(default_factory=Looks)
+
+    def __post_init__(self) -> None:
+        self.seen_px = size_px(self.corners_px)[0]
 
     @property
     def bridges(self) -> bool:
@@ -83,6 +88,8 @@ class Track:
             return False
         if not self.hidden(t_ns, detector.lost_s):
             return True
+        if size_px(self.corners_px)[0] > GROWN_UNSEEN * self.seen_px:
+            return False  # what was a plate from farther away would be seen to be one by now
         followed = t_ns - self.rear_ns <= REAR_LOST_NS and self.bridges
         return followed and t_ns - self.seen_ns <= flow.carry_s * 1e9
 
@@ -101,6 +108,7 @@ class Track:
         self.carry(reading, t_ns)
         self.placed = True
         self.score, self.seen_ns = joint_score(candidate, reading), t_ns
+        self.seen_px = size_px(self.corners_px)[0]
         self.hits, self.misses = self.hits + 1, 0
         self.judged = reading.platehood is not None
         self.sigma_px = reading.corners_sigma_px

@@ -149,6 +149,17 @@ def test_high_scores_of_one_frame_are_no_proof_where_the_closer_look_denies_them
     assert search.closer_looks == 0
 
 
+@pytest.mark.parametrize(("closer_score", "reported"), [(0.5, False), (0.6, True)])
+def test_what_is_small_and_was_doubted_must_look_like_a_plate_from_closer_up_too(closer_score, reported):
+    """A far facade gains high scores for a frame or two; a plate as small looks half like one at least (belief 0.19, 0.34)."""
+    middle = STILL.corners_px.mean(axis=0)
+    far = STILL.corners_px * 0.25 + middle * 0.75
+    p, search = _seen_closer(PlateCandidate(corners_px=far, score=0.55), closer_score=0.3)
+    assert not any(p.see(_frame(i)).plates for i in range(4))
+    search.plates, search.closer_score = [PlateCandidate(corners_px=far, score=0.74)], closer_score
+    assert any(p.see(_frame(i)).plates for i in range(4, 10)) == reported
+
+
 def test_a_reader_that_knows_no_platehood_leaves_the_unsure_to_the_number_of_hits():
     search = ScriptedSearch([_candidate(score=0.35)])  # below score_min: found in permissive mode only
     p = _perception(search)
@@ -306,6 +317,24 @@ def test_a_hidden_plates_vehicle_is_followed_on_without_a_plate_being_claimed():
     assert 10 <= len(search.regions) <= 22  # it is looked for on, but not in every frame
     search.blindfold = False
     assert [plate.track_id for i in (46, 47) for plate in p.see(_frame(i)).plates][:1] == [1]
+
+
+def test_a_plate_that_grows_to_twice_its_size_without_being_seen_was_none():
+    """As a facade that was taken for a plate from far away, and is passed."""
+    search = ScriptedSearch([_candidate()])
+    p = _perception(search, lost_s=0.3, carry_s=10.0)
+    p.see(_frame(0))
+    search.blindfold = True
+    covered = STILL.image.copy()
+    cv2.fillConvexPoly(covered, np.rint(STILL.corners_px).astype(np.int32), (34, 36, 38))
+    followed = []
+    for i in range(1, 60):
+        size = 1 + 0.02 * i
+        warp = np.array([[size, 0, 0], [0, size, 0]], np.float64)
+        warp[:, 2] = STILL.corners_px.mean(axis=0) * (1 - size)
+        seen = p.see(_frame(i, cv2.warpAffine(covered, warp, covered.shape[1::-1], flags=cv2.INTER_CUBIC)))
+        followed += [size] if seen.vehicles else []
+    assert 1.8 < max(followed) < 2.15
 
 
 def test_what_takes_a_vehicles_place_is_not_followed_in_its_stead():
