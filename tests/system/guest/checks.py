@@ -336,7 +336,7 @@ def kill(world: World) -> str:
     old, t_s = pid(), time.time()
     os.kill(old, 9)
     wait("another process", lambda: pid() not in (0, old), 15)
-    wait("ALERT on the bus", lambda: any(f.level != "not available" for f in world.bus.since(t_s + 1, ALERT)), HEAL_S)
+    wait("ALERT on the bus", lambda: any(f.level != "not available" for f in world.bus.since(t_s + 1, ALERT)), START_S)
     back_s = next(f.t_s for f in world.bus.since(t_s + 1, ALERT) if f.level != "not available") - t_s
     world.healthy(START_S)
     world.restarts = int(unit("NRestarts"))
