@@ -21,6 +21,7 @@ BAND_LINE_COST = 3.0  # of a border line beyond a blue band on a plate that has 
 GIVEN_OF_HEIGHT = 0.06  # one sigma of the given outline, in plate heights
 GOOD_MISFIT = 1.5
 MISFIT_COST, LEAST_MISFIT = 6.0, 0.2  # of one step against another: so much for each factor e of the misfit
+LEAST_SHARE = 0.01  # of belief in a border line, or in none: a standard's maker may err
 LEAST_SIDES = 3
 LEFT_OUT_COST = 6.0  # of a step that explains only what lies before the next rise
 LOW_SIGMA_PX, LOW_HEIGHT_PX = 0.2, 10.0  # of a low plate's edges, which blur joins to lettering and border
@@ -190,7 +191,8 @@ def _costs(sides: list[list[tuple[Tried, EdgeFit]]], given_sigma_px: float, line
         _about_common_offset([o + _oddness(*fits, has_line) for o, fits in zip(own, lined, strict=True)], places, given_sigma_px)
         for has_line in (True, False)
     )
-    odds = float(np.log(line_share / (1 - line_share)))
+    share = min(max(line_share, LEAST_SHARE), 1 - LEAST_SHARE)
+    odds = float(np.log(share / (1 - share)))
     return [-2 * np.logaddexp(odds - 0.5 * a, -0.5 * b) for a, b in zip(with_line, without, strict=True)]
 
 

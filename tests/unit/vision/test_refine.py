@@ -222,6 +222,7 @@ def _tried(plain_cost, plain_px=0.0, lined_px=0.8):
         (-6.0, 4.0, 0.5, False),  # a frame hides the line here
         (-0.5, -0.5, 0.9, True),  # nothing tells: the standard does
         (0.5, 0.5, 0.1, False),
+        (-6.0, -6.0, 1.0, False),  # no belief is beyond what is seen
     ],
 )
 def test_a_side_that_is_in_doubt_about_its_border_line_follows_the_others_and_the_standard(own, others, share, lined):
