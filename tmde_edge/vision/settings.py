@@ -85,5 +85,5 @@ class FlowSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     min_points: Annotated[int, Meta(ge=3)] = 6  # fewer give no prediction
     residual_max_px: Positive = 1.5  # a fit worse than this (one sigma) gives no prediction
     ring: Positive = 1.2  # width of the ring of vehicle rear, in plate heights
-    carry_s: Positive = 4.0  # a plate that was surely seen and is hidden is followed this long by the vehicle's rear alone
+    carry_s: Positive = 4.0  # a plate surely seen, then hidden: so long by the vehicle's rear alone, to twice its size
     base_s: Positive = 0.2  # scale changes are reported over at least this span of source time
