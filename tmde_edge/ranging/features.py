@@ -85,12 +85,14 @@ class Features:
         """`height` of other corners (4, 2), over the same edges."""
         return self._mean_edge(corners, ((0, 3), (1, 2)))
 
-    def glyph_bias(self, bias_px: float, resolved_px: float) -> float:
+    def glyph_bias(self, bias_px: float, resolved_px: float, typical: float | None = None) -> float:
         """One sigma of the error that all heights share (normalised): both edges outward or inward together.
 
         Grows with `doubt`, and with the square of `resolved_px` over the height, where letters melt into their row.
         """
-        typical_px = float(np.median(self.heights)) * self.focal_px if len(self.heights) else resolved_px
+        if typical is None and len(self.heights):
+            typical = float(np.median(self.heights))
+        typical_px = resolved_px if typical is None else typical * self.focal_px
         blend = 1.0 + (resolved_px / max(typical_px, 1.0)) ** 2
         return 2 * bias_px * self.doubt * blend / self.focal_px
 

@@ -35,6 +35,8 @@ _DISAGREE = 0.05  # log distance by the characters against that by the outline
 # everything else, and melted characters are counted wrong, which makes their spacing wrong by any amount.
 _LOW_PX, _LOW_HEIGHT_SIGMA, _MELTED_PITCH = 6.0, 0.12, 0.04
 _LOW_TOGETHER = 0.8  # correlation of that error of the plate's height with the characters' (stills of 17 to 24 px: 0.64 to 0.80)
+# Of the width of a plate that low between two blue bands: on a dark or blue body one is left out, or too much taken in.
+_BANDS_SIGMA = 0.04
 _MOST_SIGMA = 0.5
 _MISSED_PITCH = 0.15  # fewer characters than any plate of the standard has: the spacing spans some that were missed
 _TALL_MISSING = 2.0  # cost of having seen small characters only
@@ -127,8 +129,14 @@ def size_bias(expected: Expectation, features: Features, settings: RangingSettin
     k = expected.classes
     own = np.zeros(k + 3)  # variances of what each size has for itself
     typical = float(np.median(features.heights)) if len(features.heights) else 0.05
+    height = features.height
+    if expected.has_outline and features.width is not None:
+        # what blur makes taller seems to be seen better: the width tells how small it is
+        per_m = features.width / float(expected.size_m[k])
+        typical = min(typical, per_m * float(expected.size_m[0]))
+        height = None if height is None else min(height, per_m * float(expected.size_m[k + 1]))
     shared = np.zeros(k + 3)  # one sigma of the common error
-    shared[:k] = min(features.glyph_bias(settings.glyph_bias_px, settings.glyph_resolved_px) / typical, _MOST_SIGMA)
+    shared[:k] = min(features.glyph_bias(settings.glyph_bias_px, settings.glyph_resolved_px, typical) / typical, _MOST_SIGMA)
     # Corners come from fitted edges: part of their error is common to both ends of an edge.
     rough = (0.0, 0.0) if features.refined else (settings.unrefined_width_sigma, settings.unrefined_height_sigma)
     outline = ((k, features.width, features.width_sigma, rough[0]), (k + 1, features.height, features.height_sigma, rough[1]))
@@ -136,8 +144,11 @@ def size_bias(expected: Expectation, features: Features, settings: RangingSettin
         if side is not None:
             edge_px = float(np.hypot(settings.outline_bias_px, 0.5 * sigma * features.focal_px))
             own[place] = (2**0.5 * edge_px / (side * features.focal_px)) ** 2 + more**2
-    if features.height is not None:
-        low = min(_LOW_HEIGHT_SIGMA * (_LOW_PX / max(features.height * features.focal_px, 1.0)) ** 2, _MOST_SIGMA)
+    if height is not None:
+        lowness = (_LOW_PX / max(height * features.focal_px, 1.0)) ** 2
+        if expected.standard.band == "both":
+            own[k] += (_BANDS_SIGMA * min(lowness, 1.0)) ** 2
+        low = min(_LOW_HEIGHT_SIGMA * lowness, _MOST_SIGMA)
         shared[k + 1] = _LOW_TOGETHER * low
         own[k + 1] += (1 - _LOW_TOGETHER**2) * low**2
     if len(features.heights):

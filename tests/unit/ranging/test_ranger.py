@@ -352,3 +352,17 @@ def test_a_turn_that_perspective_shows_contradicts_nothing(yaw: float) -> None:
         for y in (0.0, yaw)
     )
     assert turned.sigma_m < 1.2 * facing.sigma_m
+
+
+@pytest.mark.parametrize(("id_", "most"), [("de-mittel", 0.07), ("fr-1", 0.05)])
+def test_what_blur_has_made_tall_is_not_believed_the_more_for_it(id_: str, most: float) -> None:
+    """A plate of 30 px whose height reads 30 % and whose characters read 18 % too large: the width tells how small they are."""
+    errors = []
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        tall = {"height_mm": 1.3 * 110, "glyph_mm": 1.18 * 75}
+        plate = sighting(STANDARDS[id_], distance_m=24.0, rng=rng, corner_sigma=0.2, glyph_sigma=0.2, **tall)
+        measured = ranged(ranger(id_), plate)
+        errors.append(abs(measured.distance_m / 24.0 - 1))
+        assert errors[-1] < 2 * measured.sigma_m / measured.distance_m
+    assert float(np.mean(errors)) < most
