@@ -117,26 +117,32 @@ def _still(name: str, width_px: int, i: int, drawn: bool) -> Still:
 
 
 def spoilt(shot: Shot, what: str, seed: int) -> Shot:
-    """The shot with one cue falsified (see --spoil)."""
-    if shot.plate is None:
-        return shot
+    """The shot with one cue falsified, alike in both sightings (see --spoil)."""
+    return replace(
+        shot, plate=_spoilt_plate(shot.plate, shot, what, seed), unknown=_spoilt_plate(shot.unknown, shot, what, seed)
+    )
+
+
+def _spoilt_plate(plate: PlateSighting | None, shot: Shot, what: str, seed: int) -> PlateSighting | None:
+    if plate is None:
+        return None
     rng = np.random.default_rng(seed)
     if what == "glyphs":
         factor = float(np.exp(rng.choice([-1, 1]) * rng.uniform(0.04, 0.07)))
         glyphs = []
-        for g in shot.plate.glyphs:
+        for g in plate.glyphs:
             top, bottom = np.array(g.top_px), np.array(g.bottom_px)
             middle, half = (top + bottom) / 2, factor * (bottom - top) / 2
             glyphs.append(replace(g, top_px=tuple(middle - half), bottom_px=tuple(middle + half)))
-        return replace(shot, plate=replace(shot.plate, glyphs=tuple(glyphs)))
-    corners, true = np.array(shot.plate.corners_px), np.asarray(shot.true_corners_px)
+        return replace(plate, glyphs=tuple(glyphs))
+    corners, true = np.array(plate.corners_px), np.asarray(shot.true_corners_px)
     width_mm, _ = load_standards()[shot.standard].outline_belief() or ((520.0, 0.0), (110.0, 0.0))
     right, down = true[1] - true[0], true[3] - true[0]
     per_mm = float(np.hypot(*right)) / width_mm[0]
     out_mm = rng.uniform(6, 14, 4) * (rng.random(4) < 0.4) if what == "frame" else -rng.uniform(3, 7, 4)
     up, out, low, left = out_mm * per_mm
     moved = np.outer([-left, out, out, -left], right / np.hypot(*right)) + np.outer([-up, -up, low, low], down / np.hypot(*down))
-    return replace(shot, plate=replace(shot.plate, corners_px=tuple((float(x), float(y)) for x, y in corners + moved)))
+    return replace(plate, corners_px=tuple((float(x), float(y)) for x, y in corners + moved))
 
 
 def _rows(found: list[Shot], auto: Ranger, known: dict[str, Ranger]) -> list[dict[str, Any]]:

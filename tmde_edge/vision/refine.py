@@ -33,8 +33,8 @@ ODD_SIDE = 0.2  # chance that a side shows no border line though the plate has o
 OFF_TOGETHER, OFF_EACH = 1.5, 1.2
 REACH_OF_HEIGHT = 0.13  # how far from the given outline an edge is looked for, in plate heights
 SAMPLES = 32  # of a profile on either side of the given outline
-UNEXPECTED = 0.2  # chance of a border line, or of none, below which a side that seems to show it is looked at again
 TILT_OF_HEIGHT = 0.12  # how much the two ends of a side may move against each other
+UNEXPECTED = 0.2  # chance of a border line, or of none, below which a side that seems to show it is looked at again
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -210,12 +210,15 @@ def _about_common_offset(costs: list[Array], places: list[Array], given_sigma_px
     places: offsets of the fits, one array a side.
     """
     rest, common = (OFF_EACH * given_sigma_px) ** -2, (OFF_TOGETHER * given_sigma_px) ** -2
+
+    def about(offset: float) -> list[Array]:
+        return [c + rest * (x - offset) ** 2 for c, x in zip(costs, places, strict=True)]
+
     offset = 0.0
     for _ in range(AGREE_ROUNDS):
-        here = [c + rest * (x - offset) ** 2 for c, x in zip(costs, places, strict=True)]
-        best = [float(x[int(h.argmin())]) for h, x in zip(here, places, strict=True)]
+        best = [float(x[int(h.argmin())]) for h, x in zip(about(offset), places, strict=True)]
         offset = rest * sum(best) / (rest * len(best) + common)
-    here = [c + rest * (x - offset) ** 2 for c, x in zip(costs, places, strict=True)]
+    here = about(offset)
     total = sum(float(h.min()) for h in here) + common * offset**2
     return [h + (total - float(h.min())) for h in here]
 

@@ -22,9 +22,9 @@ from tmde_edge.vision.settings import SegmenterSettings
 
 Array = NDArray[np.float64]
 FLOOR_SIGMA_PX = 0.15  # the network's own, at best
-# The network's share in the edges of characters so high, px; measured on rendered stills of ten standards.
-SHARE_TB = ((7.0, 0.85), (8.5, 0.6), (12.5, 0.6), (15.0, 0.0))  # tops and bottoms
-SHARE_LR = ((9.0, 1.0), (12.0, 0.0))  # left and right edges: of small ones blur fills the gaps to the neighbours
+# The network's share in the edges of characters by their height, px; measured on rendered stills of ten standards.
+SHARE_TB = (7.0, 8.5, 12.5, 15.0), (0.85, 0.6, 0.6, 0.0)  # tops and bottoms
+SHARE_LR = (9.0, 12.0), (1.0, 0.0)  # left and right edges: of small ones blur fills the gaps to the neighbours
 BORDER_HEIGHT_PX = 24.0  # on lower plates no border line is wider than a pixel: nothing to measure
 LOW_PLATE_PX = 5.0  # of plates about so high the network's corners err twice as much as it says (rendered stills)
 INKED_COUNT_MIN = 4  # fewer characters tell nothing about the plate's ink
@@ -183,7 +183,7 @@ def _with_network(boxes: Array, edges: Array, sigma: Array, per_px: float) -> tu
     """
     height_px = (edges[:, 3] - edges[:, 1]) / per_px
     mixed, spread = edges.copy(), sigma.copy()
-    for column, pair, (at_px, shares) in ((0, [1, 3], zip(*SHARE_TB, strict=True)), (1, [0, 2], zip(*SHARE_LR, strict=True))):
+    for column, pair, (at_px, shares) in ((0, [1, 3], SHARE_TB), (1, [0, 2], SHARE_LR)):
         share = np.interp(height_px, at_px, shares)
         apart = boxes[:, pair] - edges[:, pair]
         mixed[:, pair] += share[:, None] * apart
