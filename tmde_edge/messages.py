@@ -50,6 +50,15 @@ class GlyphSighting:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class BoltSighting:
+    """Two bolts (or holes for them) of one row, left and right, and one sigma of either's place."""
+
+    left_px: Point
+    right_px: Point
+    sigma_px: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PlateSighting:
     """One plate in one frame, measured in source pixels only."""
 
@@ -68,6 +77,7 @@ class PlateSighting:
     cut: bool = False  # a side lies outside the frame
     blur_px: float | None = None  # estimated edge blur (one sigma)
     side_sigma_px: tuple[float, ...] = ()  # of the top, right, bottom and left line; empty: all as corners_sigma_px
+    bolts: tuple[BoltSighting, ...] = ()  # of the rows in which a pair is seen
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

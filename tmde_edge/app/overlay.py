@@ -144,6 +144,8 @@ def _plate(pen: _Pen, plate: PlateResult, result: FrameResult) -> None:
     pen.outline(seen.corners_px, colour, 2 if plate.lead else 1)
     for glyph in seen.glyphs:
         pen.outline(_glyph_corners(glyph), MAGENTA if glyph.main else CYAN, 1)
+    for bolts in seen.bolts:
+        cv2.line(pen.canvas, pen.point(bolts.left_px), pen.point(bolts.right_px), CYAN, 1, cv2.LINE_AA, 4)
     if plate.range is not None:
         label = f"{plate.range.distance_m:.2f} ± {plate.range.sigma_m:.2f} m"
         label += f"  {plate.range.standard}" if plate.range.standard else ""

@@ -35,7 +35,7 @@ from tmde_edge.config import Config, from_tree, merged, to_tree
 from tmde_edge.errors import ConfigError, InputDataError
 from tmde_edge.estimation import Estimation, Parts
 from tmde_edge.messages import LaneSighting, Point, Pose
-from tmde_edge.plates.standard import line_share, select
+from tmde_edge.plates.standard import bolt_places, line_share, select
 from tmde_edge.pose.attitude import AttitudeEstimator
 from tmde_edge.pose.edges import Image
 from tmde_edge.pose.resting import RestingPose
@@ -76,9 +76,12 @@ def build_eyes(config: Config, clock_ns: Callable[[], int]) -> Eyes:
         reader = PaperReader(config.segmenter)
     else:
         from tmde_edge.adapters.detectors.glyphnet import GlyphNet
+        from tmde_edge.vision.segment.bolts import BoltPlaces
         from tmde_edge.vision.segment.glyph_reader import GlyphReader
 
-        reader = GlyphReader(GlyphNet(threads=count), config.segmenter, line_share(select(config.plates.expect)))
+        expected = select(config.plates.expect)
+        places = [BoltPlaces(spacing=spacing, aspect=aspect) for spacing, aspect in bolt_places(expected)]
+        reader = GlyphReader(GlyphNet(threads=count), config.segmenter, line_share(expected), places)
     perception = Perception(
         search=search, reader=reader, detector=d, segmenter=config.segmenter, flow=config.flow, clock_ns=clock_ns
     )

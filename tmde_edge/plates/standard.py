@@ -232,6 +232,17 @@ def line_share(standards: Sequence[PlateStandard]) -> float:
     return sum(s.weight * s.line_share for s in standards) / sum(s.weight for s in standards)
 
 
+def bolt_places(standards: Sequence[PlateStandard]) -> tuple[tuple[float, float], ...]:
+    """Each (spacing of the bolts over the plate's width, its height over its width) that occurs in these standards."""
+    found = set()
+    for s in standards:
+        outline = s.outline_belief()
+        if s.hole_spacing is not None and outline is not None:
+            (width, _), (height, _) = outline
+            found.add((round(s.hole_spacing.belief("hole")[0] / width, 4), round(height / width, 4)))
+    return tuple(sorted(found))
+
+
 def _names(standard: PlateStandard) -> tuple[str, ...]:
     country = standard.country.lower()
     return (standard.id, *standard.groups, country, country.split("-")[0], "auto")

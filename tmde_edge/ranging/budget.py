@@ -1,4 +1,7 @@
-"""What a camera can measure of a plate at which distance: expected one-sigma per cue, before anything is bought."""
+"""What a camera can measure of a plate at which distance: expected one-sigma per cue, before anything is bought.
+
+Bolts are left out: not every plate shows them.
+"""
 
 from __future__ import annotations
 

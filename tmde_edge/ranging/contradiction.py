@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tmde_edge.ranging.features import Features
-from tmde_edge.ranging.fit import LOG_D, POSE, ROLL, Fit, Model, U, V, axes, corners_of
+from tmde_edge.ranging.fit import AFTER_CLASSES, LOG_D, POSE, ROLL, Fit, Model, U, V, axes, corners_of
 
 Floats = NDArray[np.float64]
 
@@ -21,10 +21,10 @@ def scale_factor(features: Features, model: Model, fit: Fit) -> float:
     Cues are the logs of the distances that the characters (their median: one wild character says nothing, all of them do), the
     plate's width and its height each say by their nominal or learned size. What a cue's features share, one reader, one class's
     tolerance, the edges' common error, stands in the cues' covariance and contradicts nothing; spacing is no cue, a missed
-    character doubles it. The plate is taken as turned only as far as perspective shows: a turn that the fit needs to reconcile
-    two sizes is a contradiction. Of cues that share an error (a memory knows sizes by their ratio) S says too much: what it
-    adds ends where the cue farthest from the answer lies. Source: Birge, Phys. Rev. 40 (1932) 207; Particle Data Group,
-    Review of Particle Physics, Introduction, 5.2.2 (which leaves out weak cues too).
+    character doubles it; nor are bolts, print may be taken for them. The plate is taken as turned only as far as perspective
+    shows: a turn that the fit needs to reconcile two sizes is a contradiction. Of cues that share an error (a memory knows sizes
+    by their ratio) S says too much: what it adds ends where the cue farthest from the answer lies. Source: Birge, Phys. Rev. 40
+    (1932) 207; Particle Data Group, Review of Particle Physics, Introduction, 5.2.2 (which leaves out weak cues too).
     """
     k = len(model.class_height_m)
     x = fit.x.copy()
@@ -37,7 +37,7 @@ def scale_factor(features: Features, model: Model, fit: Fit) -> float:
         off.append(float(np.median(np.log(_heights(features, model, x, used) / heights))))
         each = 2 * (features.sigma_tb[used] / heights) ** 2 + model.glyph_jitter**2
         noise.append(_OF_MEDIAN * float(each.mean()) / len(used))
-        of_size.append(np.bincount(classes, minlength=k + 3) / len(used))
+        of_size.append(np.bincount(classes, minlength=k + AFTER_CLASSES) / len(used))
     right, down, _ = axes(x[None, : ROLL + 1])
     corners = corners_of(model, x[None], right, down)[0]
     for place, seen, expected, sigma in (
@@ -47,7 +47,7 @@ def scale_factor(features: Features, model: Model, fit: Fit) -> float:
         if seen and expected:
             off.append(float(np.log(expected / seen)))
             noise.append(2 * (sigma / seen) ** 2)
-            of_size.append(np.eye(k + 3)[place])
+            of_size.append(np.eye(k + AFTER_CLASSES)[place])
     if len(off) < 2:
         return 1.0
     which = np.array(of_size)

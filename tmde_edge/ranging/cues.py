@@ -106,6 +106,19 @@ def border(features: Features, standard: PlateStandard) -> Cue | None:
     return Cue("border", features.border, BORDER_SIGMA_PX / features.focal_px, size / 1000, sigma / 1000)
 
 
+def bolt_spacing(features: Features, standard: PlateStandard, settings: RangingSettings) -> Cue | None:
+    """Distance between the bolts that hold the plate, mean of the rows in which a pair is seen (a cue of arXiv 2607.00319)."""
+    if standard.hole_spacing is None or not len(features.bolts):
+        return None
+    size, sigma = standard.hole_spacing.belief("hole")
+    apart = features.bolts[:, 1] - features.bolts[:, 0]
+    rows = len(apart)
+    noise = float(np.sqrt(2 * np.sum(features.bolts_sigma**2))) / rows
+    play = 2 * (settings.bolt_sigma_mm**2 + settings.bolt_jitter_mm**2 / rows)
+    length = float(np.hypot(apart[:, 0], apart[:, 1]).mean())
+    return Cue("bolt_spacing", length, noise, size / 1000, float(np.hypot(sigma, play**0.5)) / 1000)
+
+
 def plate_width(features: Features, standard: PlateStandard, settings: RangingSettings) -> Cue | None:
     """The baseline every plate ranger uses: the plate's width."""
     outline = standard.outline_belief()
@@ -138,6 +151,7 @@ def all_cues(features: Features, standard: PlateStandard, tall: np.ndarray, sett
     found = (
         char_height(features, standard, tall, settings), stroke_width(features, standard),
         char_spacing(features, standard, settings), border(features, standard),
-        plate_width(features, standard, settings), plate_height(features, standard, settings),
+        bolt_spacing(features, standard, settings), plate_width(features, standard, settings),
+        plate_height(features, standard, settings),
     )
     return tuple(c for c in found if c is not None)

@@ -51,6 +51,8 @@ class Features:
     spacing: float | None
     border: float | None
     char_height: float | None
+    bolts: Floats  # (m, 2, 2) left and right bolt of each row in which they are seen
+    bolts_sigma: Floats  # (m,) of either's place
     heights: Floats = field(init=False)  # (n,) top to bottom of every glyph, normalised
     width: float | None = field(init=False)  # mean length of upper and lower edge, normalised, of those with valid ends
     height: float | None = field(init=False)  # the same of the left and right edge
@@ -108,6 +110,9 @@ def gather(plate: PlateSighting, camera: Camera, view_from_vehicle: Floats) -> F
     points = [*plate.corners_px]
     for g in glyphs:
         points += [g.top_px, g.bottom_px, g.left_px, g.right_px]
+    bolts = [b for b in plate.bolts if _whole((b.left_px, b.right_px), camera)]
+    for b in bolts:
+        points += [b.left_px, b.right_px]
     pixels = np.array(points, dtype=np.float64)
     corner_ok = np.isfinite(pixels[:4]).all(axis=1)
     inside = (
@@ -117,7 +122,7 @@ def gather(plate: PlateSighting, camera: Camera, view_from_vehicle: Floats) -> F
     corner_ok &= inside & _is_plate(pixels[:4])
     rays = _rays(camera, view_from_vehicle, np.where(np.isfinite(pixels), pixels, 0.0))
     focal = camera.focal_px
-    edges = rays[4:].reshape(n, 4, 2)
+    edges = rays[4 : 4 + 4 * n].reshape(n, 4, 2)
     rows = np.array([g.row for g in glyphs], dtype=np.int64)
     corners = rays[:4]
     centre = _crossing(corners) if corner_ok.all() else _middle(corners[corner_ok], edges)
@@ -134,6 +139,7 @@ def gather(plate: PlateSighting, camera: Camera, view_from_vehicle: Floats) -> F
         row=rows, runs=_runs((edges[:, 2] + edges[:, 3]) / 2, rows), stroke=_norm(plate.stroke_px, focal),
         spacing=_norm(plate.spacing_px, focal), border=_norm(plate.border_px, focal),
         char_height=_norm(plate.char_height_px, focal),
+        bolts=rays[4 + 4 * n :].reshape(-1, 2, 2), bolts_sigma=np.array([max(b.sigma_px, 0.02) / focal for b in bolts]),
     )
 
 

@@ -1,9 +1,9 @@
 """One joint robust fit of a plate's pose and of its true proportions to everything measured on it.
 
 Parameters: heading, lean and roll of the plate in the vehicle's axes; bearing (u, v) of its centre; log distance; and
-the logarithms of its true sizes over the standard's: glyph height of each class, plate width, plate height, pitch.
-The sizes carry the standard's tolerances (and what the track has learned) as priors, so that one wrong size moves every
-feature that hangs on it together, instead of being averaged as if the features were independent.
+the logarithms of its true sizes over the standard's: glyph height of each class, plate width, plate height, pitch,
+spacing of bolts. The sizes carry the standard's tolerances (and what the track has learned) as priors, so that one wrong
+size moves every feature that hangs on it together, instead of being averaged as if the features were independent.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ Ints = NDArray[np.int64]
 
 YAW, LEAN, ROLL, U, V, LOG_D = range(6)
 POSE = 6  # parameters before the sizes
+AFTER_CLASSES = 4  # sizes after those of the characters: width, height, pitch, bolts
 
 _STEP = 1e-6  # forward differences
 _MAX_STEPS = 9
@@ -40,17 +41,20 @@ _SIGNS = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
 class Model:
     """What one standard expects of one sighting. Lengths in metres.
 
-    glyph_class (n,) gives each glyph's class or -1 for none; sizes: class heights (k,), then width, height, pitch.
-    mean (6 + k + 3,) and information (same, square) are the Gaussian prior; sizes' part is about log size over nominal.
+    glyph_class (n,) gives each glyph's class or -1 for none; sizes: class heights (k,), then width, height, pitch,
+    spacing of bolts. mean (6 + k + 4,) and information (same, square) are the Gaussian prior; sizes' part is about log size over
+    nominal.
     """
 
     class_height_m: Floats
     width_m: float
     height_m: float
     pitch_m: float
+    bolts_m: float
     glyph_class: Ints
     glyph_jitter: float
     pitch_jitter_m: float
+    bolt_jitter_m: float  # of the distance between two
     mean: Floats
     information: Floats
     frame_bias: Floats
@@ -76,6 +80,7 @@ class Fit:
     glyphs_used: int
     corners_used: int
     pitch_used: bool
+    bolts_used: bool
     strain: float  # cost a residual; well above 1 where something does not fit
     rejected: float  # share of the characters that the fit calls wild
 
@@ -152,7 +157,7 @@ class _Problem:
         return found
 
     def residuals(self, x: Floats) -> Floats:
-        """Residuals in sigmas for a batch (b, p) -> (b, m): corners (x, y each) or sides, glyph heights, pitch of each run."""
+        """Residuals in sigmas for a batch (b, p) -> (b, m): corners (x, y each) or sides, glyph heights, pitches, bolts."""
         n, k = len(x), self.k
         right, down, away = axes(x[:, :3])
         size = np.exp(x[:, LOG_D:])  # distance, classes, width, height, pitch
@@ -177,6 +182,12 @@ class _Problem:
             place = depth * (right[:, :2] @ centres.T + right[:, 2:])  # metres along the row
             spread = np.sqrt(np.sum(weights**2 * (depth[0] ** 2 * sigma**2 / 2 + self.m.pitch_jitter_m**2)))
             parts.append(((place @ weights - pitch) / spread)[:, None])
+        if len(self.f.bolts):
+            at = self.f.bolts.reshape(-1, 2)
+            depth = lift / (away[:, :2] @ at.T + away[:, 2:])
+            place = (depth * (right[:, :2] @ at.T + right[:, 2:])).reshape(n, -1, 2)
+            spread = np.sqrt(2 * (depth[:1, ::2] * self.f.bolts_sigma) ** 2 + self.m.bolt_jitter_m**2)
+            parts.append((place[:, :, 1] - place[:, :, 0] - self.m.bolts_m * size[:, k + 4 : k + 5]) / spread)
         return np.concatenate(parts, axis=1)
 
     def linearise(self, x: Floats) -> _State | None:
@@ -227,7 +238,7 @@ class _Problem:
             return None
         inverse = np.linalg.inv(state.normal)
         # Residuals larger than stated (blur, bad edges) widen the noise (Birge's ratio); smaller ones narrow nothing.
-        count = 2 * len(self.corner) + len(self.glyph) + len(self.runs)
+        count = 2 * len(self.corner) + len(self.glyph) + len(self.runs) + len(self.f.bolts)
         strain = state.cost / max(count, 1)
         excess = max(1.0, (state.cost + _PRIOR_DOF) / (count + _PRIOR_DOF))
         noise = inverse @ state.data @ inverse * excess
@@ -246,8 +257,8 @@ class _Problem:
         evidence = -0.5 * (state.cost + lenience) + 0.5 * (prior_logdet - (logdet if sign > 0 else 0.0))
         return Fit(
             x=x, noise=noise, prior=prior, data=state.data, cost=state.cost, evidence=float(evidence),
-            glyphs_used=len(self.glyph), corners_used=len(self.corner), pitch_used=bool(self.runs), rejected=state.rejected,
-            strain=strain,
+            glyphs_used=len(self.glyph), corners_used=len(self.corner), pitch_used=bool(self.runs),
+            bolts_used=len(self.f.bolts) > 0, rejected=state.rejected, strain=strain,
         )
 
 

@@ -332,6 +332,8 @@ def _used_by_fit(answer: _Answer) -> frozenset[str]:
         used |= {"plate_width", "plate_height"}
     if expected.has_pitch and fit.pitch_used:
         used.add("char_spacing")
+    if expected.has_bolts and fit.bolts_used:
+        used.add("bolt_spacing")
     return frozenset(used)
 
 

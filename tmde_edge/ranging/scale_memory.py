@@ -19,7 +19,7 @@ LOOK_STEP = 0.15  # log size: by so much grown, a plate's edges fall anew into t
 
 @dataclass(frozen=True, slots=True)
 class Sizes:
-    """Mean (m,) and covariance (m, m) of log(true size / nominal): glyph classes, plate width, plate height, pitch."""
+    """Mean (m,) and covariance (m, m) of log(true size / nominal): glyph classes, plate width, height, pitch, bolts' spacing."""
 
     mean: Floats
     covariance: Floats

@@ -29,6 +29,8 @@ class RangingSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     glyph_resolved_px: Positive = 6.0  # of character height: so small, that error is twice as large; it grows with the square
     glyph_jitter: NotNegative = 0.010  # relative height differences between characters of one class
     pitch_jitter_mm: NotNegative = 1.5  # ink is not centred in its cell
+    bolt_sigma_mm: NotNegative = 1.5  # where a bolt stands in its slot, on all rows alike
+    bolt_jitter_mm: NotNegative = 1.0  # the same, in each row by itself
     yaw_sigma_rad: Positive = 0.12  # heading of a plate nothing is known of; long tails
     lean_sigma_rad: Positive = 0.10  # plates lean with the boot lid; long tails
     roll_sigma_rad: Positive = 0.10  # about the line of sight

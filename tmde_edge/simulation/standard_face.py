@@ -18,6 +18,7 @@ _GAP_PER_HEIGHT = 0.13
 _GROUP_GAP_PER_HEIGHT = 0.45
 _BAND_MM = 40.0
 _LINE_MM = 3.0  # of a border line of unknown thickness
+_BOLT_PLAY_MM = 1.5  # of a bolt in its slot, one sigma
 _LETTERS, _DIGITS = "ABCDEFGHJKLMNPRSTUVWXYZ", "0123456789"
 _COLOURS: dict[str, Colour] = {
     "white": (236, 240, 240), "yellow": (40, 190, 240), "black": (22, 22, 24), "blue": (150, 60, 20),
@@ -100,7 +101,7 @@ def standard_face(name: str, text: str | None = None, *, seed: int | None = None
     if standard.country == "RU" and len(rows) == 1:
         marks += _ru_box(glyphs, main, width, height, border + inset, ink)
     if us:
-        marks += _us_marks(width, height, standard.hole_spacing.mm if standard.hole_spacing else None)
+        marks += _us_marks(width, height, _size(standard.hole_spacing, None, 177.8), rng)
     spec = FaceSpec(
         width_mm=width, height_mm=height, glyphs=tuple(glyphs), ink_bgr=ink, border_mm=border, border_inset_mm=inset,
         background_bgr=_COLOURS.get(standard.background, _COLOURS["white"]), marks=tuple(marks),
@@ -273,17 +274,19 @@ def _ru_box(
     return marks
 
 
-def _us_marks(width: float, height: float, holes_mm: float | None) -> list[Mark]:
+def _us_marks(width: float, height: float, holes_mm: float, rng: np.random.Generator | None) -> list[Mark]:
+    """Print above and below the characters, and four bolts, each with its play in its slot where sizes are drawn."""
     blue: Colour = (140.0, 60.0, 30.0)
-    half = (holes_mm or 177.8) / 2
     marks = [
         Mark(kind="text", left_mm=-0.28 * width, top_mm=-height / 2 + 10, width_mm=0.56 * width, height_mm=18,
              colour_bgr=blue, text="NORTH SHORE"),
         Mark(kind="text", left_mm=-0.25 * width, top_mm=height / 2 - 20, width_mm=0.5 * width, height_mm=10,
              colour_bgr=blue, text="LAKES AND PINES"),
     ]
-    for x in (-half, half):
+    for x in (-holes_mm / 2, holes_mm / 2):
         for y in (-height / 2 + 16, height / 2 - 16):
+            if rng is not None:
+                x, y = x + rng.normal(0, _BOLT_PLAY_MM), y + rng.normal(0, _BOLT_PLAY_MM)
             marks.append(Mark(kind="disc", left_mm=x - 5, top_mm=y - 4, width_mm=10, height_mm=8,
                               colour_bgr=(120.0, 120.0, 120.0), above=True))
     return marks

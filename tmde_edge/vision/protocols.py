@@ -37,6 +37,15 @@ class CharacterBox:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class BoltPair:
+    """Two bolts (or holes for them) of one row in source pixels: (2,) float64 each, and one sigma of either's place."""
+
+    left_px: NDArray[np.float64]
+    right_px: NDArray[np.float64]
+    sigma_px: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PlateReading:
     """What a character reader makes of one candidate.
 
@@ -53,6 +62,7 @@ class PlateReading:
     border_px: float | None = None
     blur_px: float | None = None
     side_sigma_px: tuple[float, ...] = ()  # of the top, right, bottom and left line, where they are known one by one
+    bolts: tuple[BoltPair, ...] = ()
 
 
 class PlateFinder(Protocol):

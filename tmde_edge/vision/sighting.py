@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from tmde_edge.messages import GlyphSighting, PlateSighting, Point
+from tmde_edge.messages import BoltSighting, GlyphSighting, PlateSighting, Point
 from tmde_edge.vision.protocols import CharacterBox, Image, PlateReading
 from tmde_edge.vision.rectify import Array, size_px
 from tmde_edge.vision.settings import SegmenterSettings
@@ -48,6 +48,9 @@ def plate_sighting(
         cut=bool(cut),
         blur_px=reading.blur_px,
         side_sigma_px=reading.side_sigma_px,
+        bolts=tuple(
+            BoltSighting(left_px=_point(b.left_px), right_px=_point(b.right_px), sigma_px=b.sigma_px) for b in reading.bolts
+        ),
     )  # fmt: skip
 
 
@@ -93,7 +96,7 @@ def without_ink(reading: PlateReading, corners_px: Array, sigma_px: float) -> Pl
     """A reading of which only the place is left, as given."""
     return replace(
         reading, corners_px=corners_px, corners_sigma_px=sigma_px, refined=False, characters=(), stroke_px=None,
-        border_px=None, blur_px=None, side_sigma_px=(),
+        border_px=None, blur_px=None, side_sigma_px=(), bolts=(),
     )  # fmt: skip
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tmde_edge.errors import ConfigError
-from tmde_edge.plates.standard import PlateStandard, Size, line_share, load_standards, parse_standards, select, sizes
+from tmde_edge.plates.standard import PlateStandard, Size, bolt_places, line_share, load_standards, parse_standards, select, sizes
 
 SHARED = Path(os.environ.get("TMDE_SHARED", "../shared"))
 GOOD = """
@@ -156,3 +156,8 @@ def test_the_chance_of_a_border_line_is_what_the_expected_standards_have() -> No
     assert line_share(select(["gb"])) == 0.05
     assert line_share(select(["eu-generic"])) == 0.5
     assert 0.05 < line_share(select(["gb-2001", "ru-1"])) < 0.95
+
+
+def test_bolts_are_where_the_expected_standards_have_them() -> None:
+    assert bolt_places(select(["de", "ru"])) == ()
+    assert bolt_places(select(["us"])) == bolt_places(select(["us-mi", "de"])) == ((0.5833, 0.5),)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from plate_scenes import AHEAD, CAMERA, sighting
 
 from tmde_edge.geometry.pinhole import Camera, view_from_vehicle
-from tmde_edge.messages import GlyphSighting, RangeMeasurement
+from tmde_edge.messages import BoltSighting, GlyphSighting, PlateSighting, RangeMeasurement
 from tmde_edge.plates.standard import load_standards, select
 from tmde_edge.ranging.budget import ideal_sighting
 from tmde_edge.ranging.ranger import Ranger
@@ -366,3 +366,45 @@ def test_what_blur_has_made_tall_is_not_believed_the_more_for_it(id_: str, most:
         errors.append(abs(measured.distance_m / 24.0 - 1))
         assert errors[-1] < 2 * measured.sigma_m / measured.distance_m
     assert float(np.mean(errors)) < most
+
+
+def _with_bolts(distance_m: float, *, apart_mm: float = 177.8, width_mm: float | None = None) -> PlateSighting:
+    """An American plate with one row of bolts; width_mm: the outline that is seen, a frame's perhaps."""
+    plate = sighting(STANDARDS["us-aamva3"], distance_m=distance_m, width_mm=width_mm, corner_sigma=0.0, glyph_sigma=0.0)
+    x, y = (np.array(plate.corners_px).mean(axis=0)).tolist()
+    half = apart_mm / 2000 / distance_m * CAMERA.fx_px
+    row = y + 0.06 / distance_m * CAMERA.fy_px
+    bolts = BoltSighting(left_px=(x - half, row), right_px=(x + half, row), sigma_px=0.25)
+    return replace(plate, corners_sigma_px=0.3, glyphs=(), bolts=(bolts,))
+
+
+def test_bolts_correct_a_plate_whose_edges_a_frame_hides() -> None:
+    r, framed = ranger("us-aamva3"), _with_bolts(4.0, width_mm=304.8 * 1.03)
+    without, with_bolts = ranged(r, replace(framed, bolts=())), ranged(r, framed)
+    assert abs(with_bolts.distance_m - 4.0) < 0.6 * abs(without.distance_m - 4.0)
+    assert with_bolts.sigma_m < 0.85 * without.sigma_m
+    cue = next(c for c in with_bolts.cues if c.cue == "bolt_spacing")
+    assert cue.used
+    assert cue.distance_m == pytest.approx(4.0, rel=1e-3)
+
+
+def test_print_that_was_taken_for_bolts_moves_the_distance_little() -> None:
+    r = ranger("us-aamva3")
+    full = replace(_with_bolts(4.0), glyphs=sighting(STANDARDS["us-aamva3"], distance_m=4.0).glyphs)
+    wild = replace(full, bolts=_with_bolts(4.0, apart_mm=177.8 * 1.07).bolts)
+    assert abs(ranged(r, wild).distance_m / ranged(r, full).distance_m - 1) < 0.015
+
+
+def test_bolts_say_nothing_of_plates_whose_spacing_no_source_gives() -> None:
+    plate = _with_bolts(4.0)
+    r = ranger("jp-mid")
+    with_bolts, without = ranged(r, plate), ranged(r, replace(plate, bolts=()))
+    assert with_bolts.distance_m == pytest.approx(without.distance_m, rel=2e-3)
+    assert "bolt_spacing" not in {c.cue for c in with_bolts.cues}
+
+
+def test_bolts_at_the_frames_edge_are_left_out() -> None:
+    plate = _with_bolts(4.0)
+    cut = BoltSighting(left_px=(0.2, 500.0), right_px=plate.bolts[0].right_px, sigma_px=0.25)
+    r = ranger("us-aamva3")
+    assert ranged(r, replace(plate, bolts=(cut,))).distance_m == ranged(r, replace(plate, bolts=())).distance_m

@@ -80,6 +80,17 @@ def test_drawn_sizes_stay_within_the_law() -> None:
     assert np.std(heights) > 0.2
 
 
+def test_bolts_stand_on_their_holes_and_play_in_them_where_sizes_are_drawn() -> None:
+    def apart_mm(seed: int | None) -> float:
+        bolts = [m.left_mm for m in standard_face("us-mi", seed=seed).spec.marks if m.kind == "disc"]
+        return bolts[2] - bolts[0]
+
+    assert apart_mm(None) == pytest.approx(177.8)
+    drawn = [apart_mm(s) for s in range(60)]
+    assert np.mean(drawn) == pytest.approx(177.8, abs=1.0)
+    assert 1.5 < np.std(drawn) < 2.8
+
+
 def test_russian_plate_has_two_heights_and_the_digits_are_main() -> None:
     face = standard_face("ru-1")
     assert face.main_height_mm == 76

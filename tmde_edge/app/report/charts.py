@@ -21,6 +21,7 @@ CUE_STYLES = {
     "stroke_width": "c4",
     "plate_height": "c5",
     "border": "c6",
+    "bolt_spacing": "c7",
 }
 
 

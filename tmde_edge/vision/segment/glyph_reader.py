@@ -15,6 +15,7 @@ from tmde_edge.vision.bands import with_bands
 from tmde_edge.vision.protocols import CharacterBox, Image, PlateCandidate, PlateReading
 from tmde_edge.vision.rectify import apply_homography, is_convex, size_px, steadied
 from tmde_edge.vision.refine import OutlineFit, refine_outline
+from tmde_edge.vision.segment.bolts import BoltPlaces, find_bolts
 from tmde_edge.vision.segment.glyph_decode import Glyph, GlyphReading
 from tmde_edge.vision.segment.measure import border_thickness, box_edges, ink_mask, stroke_width
 from tmde_edge.vision.segment.paper import FlatView, flatten, main_class
@@ -48,11 +49,14 @@ class GlyphNetwork(Protocol):
 class GlyphReader:
     """Reads candidates with GlyphNet in one batch; outline and glyph edges are then refined where they are plates."""
 
-    def __init__(self, network: GlyphNetwork, settings: SegmenterSettings, line_share: float = 0.5) -> None:
-        """line_share: chance that a printed line runs round a plate, by the expected standards."""
+    def __init__(
+        self, network: GlyphNetwork, settings: SegmenterSettings, line_share: float = 0.5, bolts: Sequence[BoltPlaces] = ()
+    ) -> None:
+        """By the expected standards: the chance that a printed line runs round a plate, and where its bolts may be."""
         self._network = network
         self._settings = settings
         self._line_share = line_share
+        self._bolts = tuple(bolts)
 
     def read(self, image: Image, candidates: list[PlateCandidate]) -> list[PlateReading]:
         """One reading per candidate, in order, in source pixels."""
@@ -103,6 +107,7 @@ class GlyphReader:
             stroke_px=median(main_strokes) if main_strokes else None,
             border_px=None if border is None else border / view.per_px,
             blur_px=fit.blur_px,
+            bolts=() if hurried else find_bolts(view, edges, self._bolts),
         )
 
     def _outline(self, image: Image, given: OutlineFit, light_on_dark: bool) -> OutlineFit:

@@ -12,9 +12,12 @@ from scenes import plate_still
 from tmde_edge.simulation.stills import render_still
 from tmde_edge.simulation.vehicle import Body
 from tmde_edge.vision.protocols import PlateCandidate
+from tmde_edge.vision.segment.bolts import BoltPlaces
 from tmde_edge.vision.segment.glyph_decode import Glyph, GlyphReading
 from tmde_edge.vision.segment.glyph_reader import GlyphReader
 from tmde_edge.vision.settings import SegmenterSettings
+
+AMERICAN = BoltPlaces(spacing=177.8 / 304.8, aspect=0.5)
 
 
 class Unsure:
@@ -103,6 +106,14 @@ def test_small_plates_keep_the_networks_corners_and_believe_them_less():
     assert reading.refined
     assert 0.4 < reading.corners_sigma_px < 0.7
     assert np.abs(reading.corners_px - still.corners_px).max() < 0.1
+
+
+@pytest.mark.parametrize(("hurried", "places", "pairs"), [(False, (AMERICAN,), 1), (True, (AMERICAN,), 0), (False, (), 0)])
+def test_bolts_are_looked_for_where_they_are_expected_and_time_allows(hurried, places, pairs):
+    still = plate_still("us-mi", 160, seed=3)
+    reader = GlyphReader(Network(still), SegmenterSettings(), bolts=places)
+    reading = reader.read(still.image, [PlateCandidate(corners_px=still.corners_px, score=0.9, hurried=hurried)])[0]
+    assert len(reading.bolts) == pairs
 
 
 class BandLeftOut(Network):
