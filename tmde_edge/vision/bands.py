@@ -16,25 +16,26 @@ from tmde_edge.vision.protocols import Image
 from tmde_edge.vision.rectify import bounds, size_px
 
 Array = NDArray[np.float64]
-LEAST_BLUE = 30.0  # grey levels over the ground's own blueness, and over half of the band's beyond it
-WIDTH_PX = (2.0, 0.09, 0.65)  # of a band: at least so many pixels, and of the plate's height at least and at most
-LOW_PX, LOW_LEAST_BLUE, LOW_WIDTH_PX = 7.0, 20.0, 1.0  # on plates lower than that a band is 1.5 to 3 px wide, and blur pales it
+HEIGHTS_PX = (7.0, 12.0)  # of plates: on the lower ones a band is 1.5 to 3 px wide, and blur pales it
+LEAST_BLUE = (20.0, 30.0)  # grey levels over the ground's own blueness, and over half of the band's beyond it
+LEAST_WIDTH_PX = (1.0, 2.0)  # of a band
+WIDTH = (0.09, 0.65)  # of the plate's height
 INSIDE, OUTSIDE = 0.9, 0.75  # sampled so far into the plate and out of it, in plate heights
 ROWS, STEPS = 15, 56
 
 
 @dataclass(frozen=True, slots=True)
 class Banded:
-    """Corners (4, 2) with the bands inside, and whether the right and the left side carry one."""
+    """Corners (4, 2) with the bands inside, and how far outside of its right and left side a band ends; None: there is none."""
 
     corners_px: Array
-    right: bool
-    left: bool
+    right_px: float | None
+    left_px: float | None
 
 
 def with_bands(image: Image, corners_px: Array, slack_px: float) -> Banded:
     """Corners moved outwards over blue bands that they leave out by more than slack_px; a grey image has none."""
-    none = Banded(corners_px, right=False, left=False)
+    none = Banded(corners_px, right_px=None, left_px=None)
     if image.ndim != 3 or image.shape[2] < 3:
         return none
     height_px = size_px(corners_px)[1]
@@ -45,18 +46,19 @@ def with_bands(image: Image, corners_px: Array, slack_px: float) -> Banded:
         return none
     patch, origin = blue
     out = corners_px.copy()
-    found = []
+    ends_px: list[float | None] = []
     for a, b in ((1, 2), (3, 0)):
         end_px = _band_end(patch, corners_px[a] - origin, corners_px[b] - origin, height_px)
-        found.append(end_px is not None)
+        ends_px.append(end_px)
         if end_px is not None and end_px > slack_px:
+            ends_px[-1] = 0.0
             d = (corners_px[b] - corners_px[a]) / np.hypot(*(corners_px[b] - corners_px[a]))
             # along the upper and lower edge, not across the side: a turned plate's ends are not upright
             for k, other in ((a, 0 if a == 1 else 2), (b, 3 if b == 2 else 1)):
                 along = corners_px[k] - corners_px[other]
                 along /= np.hypot(*along)
                 out[k] = corners_px[k] + along * end_px / max(abs(float(along @ (d[1], -d[0]))), 0.5)
-    return Banded(out, right=found[0], left=found[1])
+    return Banded(out, right_px=ends_px[0], left_px=ends_px[1])
 
 
 def _blueness(image: Image, corners_px: Array, margin_px: float) -> tuple[NDArray[np.float32], Array] | None:
@@ -87,8 +89,7 @@ def _band_end(patch: NDArray[np.float32], a: Array, b: Array, height_px: float) 
     ground = max(0.0, float(np.sort(profile[: STEPS // 3])[STEPS // 9]))  # a yellow ground makes anything look blue
     top = int(profile.argmax())
     strength = float(profile[top]) - ground
-    low = height_px < LOW_PX
-    if strength < 2 * (LOW_LEAST_BLUE if low else LEAST_BLUE):
+    if strength < 2 * np.interp(height_px, HEIGHTS_PX, LEAST_BLUE):
         return None
     half = ground + strength / 2
     begin, end = top, top
@@ -98,8 +99,8 @@ def _band_end(patch: NDArray[np.float32], a: Array, b: Array, height_px: float) 
         end += 1
     step = float(across[1] - across[0])
     width_px = (end - begin + 1) * step
-    least_px = LOW_WIDTH_PX if low else WIDTH_PX[0]
-    if begin == 0 or end == STEPS - 1 or width_px < least_px or not WIDTH_PX[1] < width_px / height_px < WIDTH_PX[2]:
+    least_px = max(float(np.interp(height_px, HEIGHTS_PX, LEAST_WIDTH_PX)), WIDTH[0] * height_px)
+    if begin == 0 or end == STEPS - 1 or not least_px < width_px < WIDTH[1] * height_px:
         return None  # a blue ground, a blue body, or a mark
     if across[end] < -0.25 * height_px:  # inside the plate: a picture or a print
         return None

@@ -17,6 +17,8 @@ from tmde_edge.vision.protocols import Image
 from tmde_edge.vision.rectify import bounds, is_convex, size_px
 
 AGREE_ROUNDS = 3
+# Of a blue band's outer end (0.2 px off, scatter 0.15 on rendered stills); an edge as far from it as that is another one.
+BAND_SIGMA_PX, OFF_BAND_PX = 0.35, 1.0
 BAND_LINE_COST = 3.0  # of a border line beyond a blue band on a plate that has none else
 GIVEN_OF_HEIGHT = 0.06  # one sigma of the given outline, in plate heights
 GOOD_MISFIT = 1.5
@@ -50,12 +52,13 @@ class OutlineFit:
 
 def refine_outline(
     image: Image, corners_px: Array, given_sigma_px: float | None = None, light_on_dark: bool | None = None,
-    line_share: float = 0.5,
+    line_share: float = 0.5, colour: Image | None = None,
 ) -> OutlineFit:
     """The outline near the given corners that the image itself shows; given_sigma_px: how well those are believed.
 
     light_on_dark: the plate's polarity where it is known. line_share: chance that a printed line runs round it, 0 to 1; where
-    line and margin are narrower than a pixel, nothing else tells on which side of them the plate ends.
+    line and margin are narrower than a pixel, nothing else tells on which side of them the plate ends. colour: the same image in
+    colour, where `image` is a grey one made for this plate.
 
     A side that shows no edge or leaves the image stays where it was, with the given sigma (a quarter of the search reach where
     none is given), and so does one whose edge is less sure than that or far away. `refined` is False when a side stayed; of a
@@ -69,22 +72,25 @@ def refine_outline(
         reach = min(reach, BORDER_OF_HEIGHT * height_px + 4 * given_sigma_px)
         tilt_px = min(tilt_px, max(1.0, 4 * given_sigma_px))
     reach = max(MIN_REACH_PX, reach)
-    banded = with_bands(image, corners_px, max(1.0, 2 * (given_sigma_px or 0.0))) if not light_on_dark else None
+    colour = image if colour is None else colour
+    banded = with_bands(colour, corners_px, max(1.0, 2 * (given_sigma_px or 0.0))) if not light_on_dark else None
     if banded is not None:
         corners_px = banded.corners_px
     margin = 1.5 * reach + 4
     patch, shift = grey_patch(image, corners_px, margin)
     dark = _dark_ground(patch, corners_px - shift) if light_on_dark is None else light_on_dark
     patches = [255.0 - patch if dark else patch] * 4
-    if banded is not None and not dark and (banded.right or banded.left):  # in blue a band is nearly as bright as the ground
-        blue = grey_patch(image[..., 0], corners_px, margin)[0]
-        patches = [patch, blue if banded.right else patch, patch, blue if banded.left else patch]
+    ends_px = (None, banded.right_px, None, banded.left_px) if banded is not None and not dark else (None,) * 4
+    if any(end is not None for end in ends_px):  # in blue a band is nearly as bright as the ground
+        blue = grey_patch(colour[..., 0], corners_px, margin)[0]
+        patches = [patch if end is None else blue for end in ends_px]
     sides = _fit_sides(patches, corners_px - shift, reach, tilt_px, height_px, given_sigma_px or GIVEN_OF_HEIGHT * height_px,
                        line_share)
     unmoved = reach / 4
     if given_sigma_px is not None:
         unmoved = given_sigma_px
         sides = [s if s is not None and _believed(s, given_sigma_px) else None for s in sides]
+    sides = [side if end is None else _at_band(side, end, height_px) for side, end in zip(sides, ends_px, strict=True)]
     lines = []
     for i, side in enumerate(sides):
         a, b = corners_px[i], corners_px[(i + 1) % 4]
@@ -94,12 +100,13 @@ def refine_outline(
     corners = np.array([_intersection(lines[i - 1], lines[i]) for i in range(4)])
     if not found or not is_convex(corners) or np.abs(corners - corners_px).max() > 3 * reach:
         return OutlineFit(corners_px=corners_px, sigma_px=unmoved, refined=False, blur_px=None)
+    blurs = [s.blur_px for s in found if np.isfinite(s.blur_px)]
     variances = [unmoved**2 if s is None else s.sigma_px**2 for s in sides]
     return OutlineFit(
         corners_px=corners,
         sigma_px=float(np.sqrt(np.mean(variances))),
         refined=len(found) >= (4 if given_sigma_px is None else LEAST_SIDES),
-        blur_px=float(np.median([s.blur_px for s in found])),
+        blur_px=float(np.median(blurs)) if blurs else None,
         side_sigma_px=tuple(float(v**0.5) for v in variances),
     )
 
@@ -108,6 +115,15 @@ def _believed(side: Side, given_sigma_px: float) -> bool:
     """Whether a side's edge is surer than what was given, and not another thing far away from it."""
     moved = max(abs(side.at_start_px), abs(side.at_end_px))
     return side.sigma_px <= given_sigma_px and moved <= MOVED_SIGMAS * given_sigma_px
+
+
+def _at_band(side: Side | None, end_px: float, height_px: float) -> Side:
+    """The side where its band ends, if its own edge is another one (the band's inner end, a recess) or none was found."""
+    if side is not None:
+        beyond = (side.at_start_px + side.at_end_px) / 2 - end_px
+        if -OFF_BAND_PX < beyond < OFF_BAND_PX + BORDER_OF_HEIGHT * height_px:  # a border line may run round the band
+            return side
+    return Side(at_start_px=end_px, at_end_px=end_px, sigma_px=BAND_SIGMA_PX, blur_px=np.nan)
 
 
 def _dark_ground(patch: NDArray[np.float32], corners_px: Array) -> bool:

@@ -12,6 +12,7 @@ from scenes import plate_still
 from tmde_edge.vision.bands import with_bands
 from tmde_edge.vision.edge_model import EdgeFit, fit_edges
 from tmde_edge.vision.edge_steps import Tried, first_step
+from tmde_edge.vision.ground_colour import plate_picture
 from tmde_edge.vision.refine import _costs, refine_outline
 
 
@@ -97,6 +98,17 @@ def test_a_blue_band_on_a_dark_body_belongs_to_the_plate(body):
         assert np.abs(fit.corners_px - true).max() < 0.35
 
 
+def test_a_blue_band_on_a_yellow_plate_is_seen_in_colour():
+    image, true = _two_tone((160, 60, 10), (38, 38, 36), ground_bgr=(40, 190, 240))
+    inner = true + np.array([[16, 0], [0, 0], [0, 0], [16, 0]])
+    grey = plate_picture(image, inner)
+    assert grey.ndim == 2
+    for given in (inner, true + 0.4):
+        fit = refine_outline(grey, given, 0.5, False, colour=image)
+        assert fit.refined
+        assert np.abs(fit.corners_px - true).max() < 0.6
+
+
 def test_a_blue_body_a_yellow_plate_and_a_picture_are_no_bands():
     image, true = _two_tone((236, 240, 240), (150, 60, 20))
     assert np.array_equal(with_bands(image, true, 1.0).corners_px, true)
@@ -122,8 +134,8 @@ def test_a_low_plates_blue_band_belongs_to_it(body):
     image, true = _low((160, 60, 10), body)
     inner = true - np.array([[0, 0], [2, 0], [2, 0], [0, 0]])
     banded = with_bands(image, inner, 0.5)
-    assert banded.right
-    assert not banded.left
+    assert banded.right_px == 0.0
+    assert banded.left_px is None
     assert np.abs(banded.corners_px - true).max() < 0.4
 
 

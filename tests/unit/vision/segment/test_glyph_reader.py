@@ -140,6 +140,55 @@ def test_small_plates_have_their_second_blue_band(hurried):
     assert off[True] < 0.6
 
 
+@pytest.mark.parametrize("colour", [(112.0, 116.0, 120.0), (232.0, 232.0, 230.0)])
+def test_a_plate_ends_at_the_outer_end_of_its_bands(colour):
+    body = Body(kind="van", colour_bgr=colour, plate_up_m=0.8)
+    for seed in range(6):
+        still = render_still("fr-1", width_px=34.0 + seed, body=body, scenery=False, seed=seed)
+        corners = _read(still, Network(still, corner_error_px=0.3, sigma_px=0.6)).corners_px
+        assert np.abs(corners - still.corners_px)[:, 0].max() < 1.0, seed  # a band is 2.6 px wide
+
+
+class Watched(Network):
+    """Keeps the picture that it was given."""
+
+    def read(self, image, corners_px):
+        self.picture = image
+        return super().read(image, corners_px)
+
+
+def test_a_yellow_plate_is_read_in_a_picture_in_which_it_is_bright():
+    silver = Body(kind="van", colour_bgr=(200.0, 203.0, 205.0), plate_up_m=0.8)
+    for seed in range(5):
+        still = render_still("gb-2001", width_px=32.0 + seed, body=silver, scenery=False, seed=seed)
+        network = Watched(still, sigma_px=0.6)
+        reading = _read(still, network)
+        assert network.picture.ndim == 2
+        assert np.abs(reading.corners_px - still.corners_px).max() < 1.0, seed
+
+
+def test_a_white_plate_is_read_in_the_image_itself():
+    still = plate_still("us-mi", 60)
+    network = Watched(still)
+    _read(still, network)
+    assert network.picture is still.image
+
+
+def test_a_yellow_plate_between_white_ones_is_read_in_its_turn():
+    still, other = plate_still("de-mittel", 120), plate_still("gb-2001", 120)
+    image = np.concatenate([still.image, other.image])
+    shift = np.array([0.0, still.image.shape[0]])
+
+    class Corners:
+        def read(self, image, corners_px):
+            return [replace(Network(still).read(image, corners_px[:1])[0], corners_px=c, glyphs=()) for c in corners_px]
+
+    places = [still.corners_px, other.corners_px + shift, still.corners_px + 0.5]
+    found = GlyphReader(Corners(), SegmenterSettings()).read(image, [PlateCandidate(corners_px=p, score=0.9) for p in places])
+    for reading, true in zip(found, (still.corners_px, other.corners_px + shift, still.corners_px), strict=True):
+        assert np.abs(reading.corners_px - true).max() < 1.5
+
+
 def test_what_is_no_plate_is_not_measured():
     still = plate_still("us-mi", 200)
     reading = _read(still, Network(still, platehood=0.1))
