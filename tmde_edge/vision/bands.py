@@ -88,14 +88,15 @@ def _band_end(patch: NDArray[np.float32], a: Array, b: Array, height_px: float) 
     profile = np.sort(seen, axis=0)[len(seen) // 4 : len(seen) - len(seen) // 4].mean(axis=0)  # without stars and letters
     ground = max(0.0, float(np.sort(profile[: STEPS // 3])[STEPS // 9]))  # a yellow ground makes anything look blue
     top = int(profile.argmax())
-    strength = float(profile[top]) - ground
-    if strength < 2 * np.interp(height_px, HEIGHTS_PX, LEAST_BLUE):
+    strength, least = float(profile[top]) - ground, float(np.interp(height_px, HEIGHTS_PX, LEAST_BLUE))
+    beyond = max(ground, float(profile[top:].min()))  # a blue body, or the shadow round a plate on one, is blue too
+    if strength < 2 * least or profile[top] - beyond < least:
         return None
-    half = ground + strength / 2
+    inner, outer = ground + strength / 2, (float(profile[top]) + beyond) / 2
     begin, end = top, top
-    while begin > 0 and profile[begin - 1] > half:
+    while begin > 0 and profile[begin - 1] > inner:
         begin -= 1
-    while end < STEPS - 1 and profile[end + 1] > half:
+    while end < STEPS - 1 and profile[end + 1] > outer:
         end += 1
     step = float(across[1] - across[0])
     width_px = (end - begin + 1) * step
@@ -105,4 +106,4 @@ def _band_end(patch: NDArray[np.float32], a: Array, b: Array, height_px: float) 
     if across[end] < -0.25 * height_px:  # inside the plate: a picture or a print
         return None
     last, after = float(profile[end]), float(profile[end + 1])
-    return float(across[end]) + step * (last - half) / max(last - after, 1e-6)
+    return float(across[end]) + step * (last - outer) / max(last - after, 1e-6)
