@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -17,8 +18,8 @@ from tmde_edge.vision.protocols import Image
 from tmde_edge.vision.rectify import bounds, is_convex, size_px
 
 AGREE_ROUNDS = 3
-# Of a blue band's outer end (0.2 px off, scatter 0.15 on rendered stills); an edge as far from it as that is another one.
-BAND_SIGMA_PX, OFF_BAND_PX = 0.35, 1.0
+# Of a blue band's outer end (rendered stills: 0.1 px too far out, scatter 0.15); an edge so far inside or outside is another.
+BAND_SIGMA_PX, OFF_BAND_PX = 0.35, (0.6, 1.0)
 BAND_LINE_COST = 3.0  # of a border line beyond a blue band on a plate that has none else
 GIVEN_OF_HEIGHT = 0.06  # one sigma of the given outline, in plate heights
 GOOD_MISFIT = 1.5
@@ -84,13 +85,13 @@ def refine_outline(
     if any(end is not None for end in ends_px):  # in blue a band is nearly as bright as the ground
         blue = grey_patch(colour[..., 0], corners_px, margin)[0]
         patches = [patch if end is None else blue for end in ends_px]
-    sides = _fit_sides(patches, corners_px - shift, reach, tilt_px, height_px, given_sigma_px or GIVEN_OF_HEIGHT * height_px,
-                       line_share)
+    sides = _fit_sides(patches, ends_px, corners_px - shift, reach, tilt_px, height_px,
+                       given_sigma_px or GIVEN_OF_HEIGHT * height_px, line_share)
     unmoved = reach / 4
     if given_sigma_px is not None:
         unmoved = given_sigma_px
         sides = [s if s is not None and _believed(s, given_sigma_px) else None for s in sides]
-    sides = [side if end is None else _at_band(side, end, height_px) for side, end in zip(sides, ends_px, strict=True)]
+    sides = [_at_band(end) if side is None and end is not None else side for side, end in zip(sides, ends_px, strict=True)]
     lines = []
     for i, side in enumerate(sides):
         a, b = corners_px[i], corners_px[(i + 1) % 4]
@@ -117,12 +118,8 @@ def _believed(side: Side, given_sigma_px: float) -> bool:
     return side.sigma_px <= given_sigma_px and moved <= MOVED_SIGMAS * given_sigma_px
 
 
-def _at_band(side: Side | None, end_px: float, height_px: float) -> Side:
-    """The side where its band ends, if its own edge is another one (the band's inner end, a recess) or none was found."""
-    if side is not None:
-        beyond = (side.at_start_px + side.at_end_px) / 2 - end_px
-        if -OFF_BAND_PX < beyond < OFF_BAND_PX + BORDER_OF_HEIGHT * height_px:  # a border line may run round the band
-            return side
+def _at_band(end_px: float) -> Side:
+    """The side where its band ends, for want of an edge."""
     return Side(at_start_px=end_px, at_end_px=end_px, sigma_px=BAND_SIGMA_PX, blur_px=np.nan)
 
 
@@ -141,13 +138,13 @@ def _dark_ground(patch: NDArray[np.float32], corners_px: Array) -> bool:
 
 
 def _fit_sides(
-    patches: list[NDArray[np.float32]], corners_px: Array, reach: float, tilt_px: float, height_px: float,
-    given_sigma_px: float, line_share: float,
+    patches: list[NDArray[np.float32]], ends_px: Sequence[float | None], corners_px: Array, reach: float, tilt_px: float,
+    height_px: float, given_sigma_px: float, line_share: float,
 ) -> list[Side | None]:
     """The plate's edge near each side: direction, a step's pieces, then the edge model; None where none shows.
 
-    patches: the picture for each side. Where the step next to the given outline is not explained well (lettering near the
-    edge, a band, a recess), the other steps are fitted too.
+    patches: the picture for each side. ends_px: where the side's band ends; no edge inside of it is the plate's. Where the step
+    next to the given outline is not explained well (lettering near the edge, a band, a recess), the other steps are fitted too.
     """
     step = max(STEP_PX, reach / SAMPLES)
     across = np.asarray(np.arange(np.floor(-1.3 * reach / step), np.ceil(1.3 * reach / step) + 1) * step, np.float64)
@@ -178,11 +175,19 @@ def _fit_sides(
             np.array([t.text_px for t in tried]),
         )
         for t, both in zip(tried, fits, strict=True):
-            here[t.i] += [(t, fit) for fit in (both[:1] if t.to_valley else both)]
+            here[t.i] += [(t, fit) for fit in (both[:1] if t.to_valley else both) if _at_its_band(fit, ends_px[t.i], height_px)]
     low_px = LOW_SIGMA_PX * (LOW_HEIGHT_PX / height_px) ** 2
     seen = [found for found in here if found]
     costs = iter(_costs(seen, given_sigma_px, line_share))
     return [_chosen(found, next(costs), low_px) if found else None for found in here]
+
+
+def _at_its_band(fit: EdgeFit, end_px: float | None, height_px: float) -> bool:
+    """Whether an edge may be that of a side whose band ends there: not the band's inner end, nor a recess."""
+    if end_px is None:
+        return True
+    inside, outside = OFF_BAND_PX
+    return -inside < fit.x_px - end_px < outside + BORDER_OF_HEIGHT * height_px  # a border line may run round the band
 
 
 def _good(fit: EdgeFit, given_sigma_px: float, line_share: float) -> bool:
