@@ -51,7 +51,7 @@ def classes(standards: Sequence[PlateStandard], settings: RangingSettings) -> tu
 def _same(a: Expectation, b: Expectation) -> bool:
     if len(a.keys) != len(b.keys):
         return False
-    if (a.has_glyph, a.has_outline, a.has_pitch) != (b.has_glyph, b.has_outline, b.has_pitch):
+    if (a.has_glyph, a.has_outline, a.has_pitch, a.has_bolts) != (b.has_glyph, b.has_outline, b.has_pitch, b.has_bolts):
         return False
     if a.standard.width_floats != b.standard.width_floats or a.standard.light_on_dark != b.standard.light_on_dark:
         return False

@@ -15,6 +15,7 @@ Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 EDGE_MARGIN_PX = 1.5  # closer to the frame's edge a feature may be cut
+_LEAST_APART_PX = 5.0  # of two bolts
 _LEAST_TURN_PX2 = 2.0  # of two edges at a corner
 _UNTESTED = 1.3  # doubt where too few characters can be compared
 _MOST_DOUBT = 6.0
@@ -110,7 +111,7 @@ def gather(plate: PlateSighting, camera: Camera, view_from_vehicle: Floats) -> F
     points = [*plate.corners_px]
     for g in glyphs:
         points += [g.top_px, g.bottom_px, g.left_px, g.right_px]
-    bolts = [b for b in plate.bolts if _whole((b.left_px, b.right_px), camera)]
+    bolts = [b for b in plate.bolts if _whole((b.left_px, b.right_px), camera) and b.right_px[0] - b.left_px[0] > _LEAST_APART_PX]
     for b in bolts:
         points += [b.left_px, b.right_px]
     pixels = np.array(points, dtype=np.float64)

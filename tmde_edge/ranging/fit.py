@@ -160,7 +160,7 @@ class _Problem:
         """Residuals in sigmas for a batch (b, p) -> (b, m): corners (x, y each) or sides, glyph heights, pitches, bolts."""
         n, k = len(x), self.k
         right, down, away = axes(x[:, :3])
-        size = np.exp(x[:, LOG_D:])  # distance, classes, width, height, pitch
+        size = np.exp(x[:, LOG_D:])  # distance, classes, width, height, pitch, bolts
         distance = size[:, :1]
         centre = np.ones((n, 3))
         centre[:, :2] = x[:, U : V + 1]

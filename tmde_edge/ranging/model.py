@@ -29,8 +29,7 @@ UNKNOWN_OUTLINE_MM = (520.0, 111.0)
 _CLASS_SIGMA = 0.06  # a glyph's log height about its class, when classes are told apart
 _NO_CLASS = 3.0  # sigmas at which a glyph belongs to no class
 _SCALE_SIGMA = 0.10  # of the distance that the outline suggests
-# Cauchy scales of the priors, in their sigmas; print may be taken for bolts.
-_YAW_C, _LEAN_C, _OUTLINE_C, _BOLTS_C = 2.0, 4.0, 2.0, 1.0
+_YAW_C, _LEAN_C, _OUTLINE_C = 2.0, 4.0, 2.0  # Cauchy scales of the priors, in their sigmas
 _GAUSSIAN = 1e3
 _DISAGREE = 0.05  # log distance by the characters against that by the outline
 # Of plates and characters about _LOW_PX high, relative, growing with the square: seen heights come out too large together with
@@ -239,7 +238,6 @@ def build_model(expected: Expectation, features: Features, known: Sizes, bias: F
     information[POSE:, POSE:] = np.linalg.inv(blurred)
     tail_c = np.full(p, _GAUSSIAN)
     tail_c[YAW], tail_c[LEAN], tail_c[POSE + k : POSE + k + 2] = _YAW_C, _LEAN_C, _OUTLINE_C
-    tail_c[POSE + k + 3] = _BOLTS_C
     mean[POSE:] = known.mean
     return Model(
         class_height_m=expected.size_m[:k], width_m=float(expected.size_m[k]), height_m=float(expected.size_m[k + 1]),

@@ -71,6 +71,7 @@ class TrackScale:
     lean_sigma_rad: float = 1.0
     roll_rad: float = 0.0
     frames: int = 0
+    bolts: dict[str, bool] = field(default_factory=dict)  # whether what looked like bolts is believed, by standard
     misfits: int = 0  # frames in a row that contradict what was learned
 
 

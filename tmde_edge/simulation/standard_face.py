@@ -18,7 +18,7 @@ _GAP_PER_HEIGHT = 0.13
 _GROUP_GAP_PER_HEIGHT = 0.45
 _BAND_MM = 40.0
 _LINE_MM = 3.0  # of a border line of unknown thickness
-_BOLT_PLAY_MM = 1.5  # of a bolt in its slot, one sigma
+_BOLT_PLAY_MM = 1.5, 1.0  # of the bolts of one side in their slots together, and of each, one sigma
 _LETTERS, _DIGITS = "ABCDEFGHJKLMNPRSTUVWXYZ", "0123456789"
 _COLOURS: dict[str, Colour] = {
     "white": (236, 240, 240), "yellow": (40, 190, 240), "black": (22, 22, 24), "blue": (150, 60, 20),
@@ -283,10 +283,11 @@ def _us_marks(width: float, height: float, holes_mm: float, rng: np.random.Gener
         Mark(kind="text", left_mm=-0.25 * width, top_mm=height / 2 - 20, width_mm=0.5 * width, height_mm=10,
              colour_bgr=blue, text="LAKES AND PINES"),
     ]
-    for x in (-holes_mm / 2, holes_mm / 2):
-        for y in (-height / 2 + 16, height / 2 - 16):
-            if rng is not None:
-                x, y = x + rng.normal(0, _BOLT_PLAY_MM), y + rng.normal(0, _BOLT_PLAY_MM)
+    for hole_x in (-holes_mm / 2, holes_mm / 2):
+        side = rng.normal(0, _BOLT_PLAY_MM[0]) if rng is not None else 0.0
+        for hole_y in (-height / 2 + 16, height / 2 - 16):
+            own = rng.normal(0, _BOLT_PLAY_MM[1], 2) if rng is not None else (0.0, 0.0)
+            x, y = hole_x + side + own[0], hole_y + own[1]
             marks.append(Mark(kind="disc", left_mm=x - 5, top_mm=y - 4, width_mm=10, height_mm=8,
                               colour_bgr=(120.0, 120.0, 120.0), above=True))
     return marks

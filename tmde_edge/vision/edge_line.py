@@ -20,7 +20,7 @@ class Side:
     at_start_px: float
     at_end_px: float
     sigma_px: float
-    blur_px: float
+    blur_px: float | None  # None: not measured
 
 
 def measured_side(along: Array, offsets: Array, slope: Array, line_px: tuple[float, float]) -> Side | None:

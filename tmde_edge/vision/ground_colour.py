@@ -18,8 +18,9 @@ Array = NDArray[np.float64]
 YELLOW_BLUE = 0.6  # of the lesser of red and green: with less blue than that a ground is yellow
 LEAST_YELLOW = 25.0  # grey levels of difference: less is noise
 FROM_BGR = np.array([[-0.38, 0.70, 0.36]])  # (Y + 0.75 (Y - B)) / 1.465: yellow 204, white 163, grey 102, red 63, ink 14
-REACH = 1.0  # of the candidate's width: how far round it a reader looks
-REACH_PX = 12
+# How far round the corners a reader looks, in widths and heights: GlyphNet's canvas 0.14 and 0.3, the outline's search a band
+# more, and a few pixels.
+REACH_X, REACH_Y, REACH_PX = 0.45, 0.7, 12
 SAMPLES = 24, 64  # rows and columns of the middle that are looked at
 
 
@@ -32,8 +33,8 @@ def plate_picture(image: Image, corners_px: Array) -> Image:
         return image
     h, w = image.shape[:2]
     x0, y0, x1, y1 = bounds(corners_px)
-    reach = REACH * max(x1 - x0, y1 - y0) + REACH_PX
-    left, top, right, bottom = max(0, int(x0 - reach)), max(0, int(y0 - reach)), min(w, int(x1 + reach)), min(h, int(y1 + reach))
+    dx, dy = REACH_X * (x1 - x0) + REACH_PX, REACH_Y * (y1 - y0) + REACH_PX
+    left, top, right, bottom = max(0, int(x0 - dx)), max(0, int(y0 - dy)), min(w, int(x1 + dx)), min(h, int(y1 + dy))
     grey = np.zeros((h, w), np.uint8)
     grey[top:bottom, left:right] = cv2.transform(image[top:bottom, left:right, :3], FROM_BGR)
     return grey

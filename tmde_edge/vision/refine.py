@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tmde_edge.vision.bands import with_bands
+from tmde_edge.vision.bands import Banded, with_bands
 from tmde_edge.vision.edge_line import Side
 from tmde_edge.vision.edge_model import EdgeFit, fit_edges
 from tmde_edge.vision.edge_profiles import STEP_PX, Array, grey_patch, outward_normal
@@ -34,6 +34,7 @@ NO_LINE_PX = 0.1  # thinner is none
 ODD_SIDE = 0.2  # chance that a side shows no border line though the plate has one, or something like one though it has none
 # The given outline's error in its own sigmas: what all sides share (three quarters of it on rendered stills); each one's rest.
 OFF_TOGETHER, OFF_EACH = 1.5, 1.2
+PRINT_SIGMAS = 2.5  # of the given outline: what is blue and ends farther inside is a picture, not a band
 REACH_OF_HEIGHT = 0.13  # how far from the given outline an edge is looked for, in plate heights
 SAMPLES = 32  # of a profile on either side of the given outline
 TILT_OF_HEIGHT = 0.12  # how much the two ends of a side may move against each other
@@ -63,7 +64,8 @@ def refine_outline(
 
     A side that shows no edge or leaves the image stays where it was, with the given sigma (a quarter of the search reach where
     none is given), and so does one whose edge is less sure than that or far away. `refined` is False when a side stayed; of a
-    given sigma, when two did. A blue band that was left out is taken in (bands.py).
+    given sigma, when two did. A blue band that was left out is taken in (bands.py); where a side's band ends no edge farther
+    inside is the plate's, and without any edge the side lies there, if that is surer than what was given.
     """
     if not is_convex(corners_px):
         return OutlineFit(corners_px=corners_px, sigma_px=MIN_REACH_PX, refined=False, blur_px=None)
@@ -81,17 +83,17 @@ def refine_outline(
     patch, shift = grey_patch(image, corners_px, margin)
     dark = _dark_ground(patch, corners_px - shift) if light_on_dark is None else light_on_dark
     patches = [255.0 - patch if dark else patch] * 4
-    ends_px = (None, banded.right_px, None, banded.left_px) if banded is not None and not dark else (None,) * 4
+    given_px = given_sigma_px or GIVEN_OF_HEIGHT * height_px
+    ends_px = [None] * 4 if banded is None or dark else _band_ends(banded, given_px)
     if any(end is not None for end in ends_px):  # in blue a band is nearly as bright as the ground
         blue = grey_patch(colour[..., 0], corners_px, margin)[0]
         patches = [patch if end is None else blue for end in ends_px]
-    sides = _fit_sides(patches, ends_px, corners_px - shift, reach, tilt_px, height_px,
-                       given_sigma_px or GIVEN_OF_HEIGHT * height_px, line_share)
+    sides = _fit_sides(patches, ends_px, corners_px - shift, reach, tilt_px, height_px, given_px, line_share)
     unmoved = reach / 4
     if given_sigma_px is not None:
         unmoved = given_sigma_px
         sides = [s if s is not None and _believed(s, given_sigma_px) else None for s in sides]
-    sides = [_at_band(end) if side is None and end is not None else side for side, end in zip(sides, ends_px, strict=True)]
+    sides = [_at_band(end, unmoved) if side is None else side for side, end in zip(sides, ends_px, strict=True)]
     lines = []
     for i, side in enumerate(sides):
         a, b = corners_px[i], corners_px[(i + 1) % 4]
@@ -101,7 +103,7 @@ def refine_outline(
     corners = np.array([_intersection(lines[i - 1], lines[i]) for i in range(4)])
     if not found or not is_convex(corners) or np.abs(corners - corners_px).max() > 3 * reach:
         return OutlineFit(corners_px=corners_px, sigma_px=unmoved, refined=False, blur_px=None)
-    blurs = [s.blur_px for s in found if np.isfinite(s.blur_px)]
+    blurs = [s.blur_px for s in found if s.blur_px is not None]
     variances = [unmoved**2 if s is None else s.sigma_px**2 for s in sides]
     return OutlineFit(
         corners_px=corners,
@@ -118,9 +120,19 @@ def _believed(side: Side, given_sigma_px: float) -> bool:
     return side.sigma_px <= given_sigma_px and moved <= MOVED_SIGMAS * given_sigma_px
 
 
-def _at_band(end_px: float) -> Side:
-    """The side where its band ends, for want of an edge."""
-    return Side(at_start_px=end_px, at_end_px=end_px, sigma_px=BAND_SIGMA_PX, blur_px=np.nan)
+def _band_ends(banded: Banded, given_sigma_px: float) -> list[float | None]:
+    """Outward offsets of the bands' ends for the top, right, bottom and left side; what ends well inside the plate is print."""
+    right, left = (
+        end if end is not None and end > -PRINT_SIGMAS * given_sigma_px else None for end in (banded.right_px, banded.left_px)
+    )
+    return [None, right, None, left]
+
+
+def _at_band(end_px: float | None, given_sigma_px: float) -> Side | None:
+    """The side where its band ends, for want of an edge; None where that says no more than what was given."""
+    if end_px is None or (given_sigma_px <= BAND_SIGMA_PX and abs(end_px) <= given_sigma_px):
+        return None
+    return Side(at_start_px=end_px, at_end_px=end_px, sigma_px=BAND_SIGMA_PX, blur_px=None)
 
 
 def _dark_ground(patch: NDArray[np.float32], corners_px: Array) -> bool:

@@ -4,12 +4,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace as replace_struct
 from plate_scenes import AHEAD, CAMERA, sighting
 
 from tmde_edge.geometry.pinhole import Camera, view_from_vehicle
 from tmde_edge.messages import BoltSighting, GlyphSighting, PlateSighting, RangeMeasurement
 from tmde_edge.plates.standard import load_standards, select
 from tmde_edge.ranging.budget import ideal_sighting
+from tmde_edge.ranging.classify import classes
 from tmde_edge.ranging.ranger import Ranger
 from tmde_edge.ranging.scale_memory import TrackScale
 from tmde_edge.ranging.settings import RangingSettings
@@ -408,3 +410,48 @@ def test_bolts_at_the_frames_edge_are_left_out() -> None:
     cut = BoltSighting(left_px=(0.2, 500.0), right_px=plate.bolts[0].right_px, sigma_px=0.25)
     r = ranger("us-aamva3")
     assert ranged(r, replace(plate, bolts=(cut,))).distance_m == ranged(r, replace(plate, bolts=())).distance_m
+
+
+@pytest.mark.parametrize(("off", "sigmas"), [(0.07, 0.5), (-0.07, 0.5), (0.05, 0.5), (-0.05, 0.5), (0.03, 2.0), (-0.03, 2.0)])
+def test_the_same_print_in_every_frame_does_not_teach_a_track_a_wrong_size(off: float, sigmas: float) -> None:
+    rng, state, r = np.random.default_rng(2), None, ranger("us-aamva3")
+    glyphs = sighting(STANDARDS["us-aamva3"], distance_m=4.0).glyphs
+    for frame in range(40):
+        plate = replace(_with_bolts(4.0, apart_mm=177.8 * (1 + off) + rng.normal(0, 0.5)), glyphs=glyphs)
+        corners = np.array(plate.corners_px) + rng.normal(0, 0.15, (4, 2))
+        plate = replace(plate, corners_px=tuple((float(x), float(y)) for x, y in corners))
+        measured, state, _ = r.measure(plate, CAMERA, AHEAD, frame * 50_000_000, state)
+        assert measured is not None
+    assert abs(measured.distance_m - 4.0) < sigmas * measured.sigma_m
+
+
+def test_bolts_tell_standards_apart_only_where_they_fit() -> None:
+    r = ranger("us-aamva3", "jp-mid")
+
+    def belief_in_us(plate: PlateSighting) -> float:
+        measured = ranged(r, plate)
+        return measured.belief if measured.standard == "us-aamva3" else 1 - measured.belief
+
+    plain = belief_in_us(replace(_with_bolts(4.0), bolts=()))
+    assert belief_in_us(_with_bolts(4.0)) > plain + 0.1
+    assert belief_in_us(_with_bolts(4.0, apart_mm=177.8 * 1.07)) < plain
+    assert belief_in_us(_with_bolts(4.0, apart_mm=177.8 * 1.07)) > 0.05 * plain  # print is no proof of another country
+
+
+@pytest.mark.parametrize("apart_mm", [0.0, -177.8])
+def test_bolts_that_are_no_pair_are_left_out(apart_mm: float) -> None:
+    r, plate = ranger("us-aamva3"), _with_bolts(4.0, apart_mm=apart_mm)
+    assert ranged(r, plate) == ranged(r, replace(plate, bolts=()))
+
+
+def test_a_pair_that_is_not_believed_is_not_called_used() -> None:
+    r = ranger("us-aamva3")
+    for apart_mm, used in ((177.8, True), (177.8 * 1.07, False)):
+        cue = next(c for c in ranged(r, _with_bolts(4.0, apart_mm=apart_mm)).cues if c.cue == "bolt_spacing")
+        assert cue.used is used
+
+
+def test_standards_with_and_without_bolts_are_two_classes() -> None:
+    twin = replace_struct(STANDARDS["us-aamva3"], id="twin", hole_spacing=None)
+    assert len(classes([STANDARDS["us-aamva3"], twin], JOINT)) == 2
+    assert len(classes([STANDARDS["us-aamva3"], replace_struct(STANDARDS["us-aamva3"], id="twin")], JOINT)) == 1

@@ -81,14 +81,16 @@ def test_drawn_sizes_stay_within_the_law() -> None:
 
 
 def test_bolts_stand_on_their_holes_and_play_in_them_where_sizes_are_drawn() -> None:
-    def apart_mm(seed: int | None) -> float:
-        bolts = [m.left_mm for m in standard_face("us-mi", seed=seed).spec.marks if m.kind == "disc"]
-        return bolts[2] - bolts[0]
+    def apart_mm(seed: int | None) -> list[float]:
+        marks = standard_face("us-mi", seed=seed).spec.marks
+        left_up, left_low, right_up, right_low = (m.left_mm for m in marks if m.kind == "disc")
+        return [right_up - left_up, right_low - left_low]
 
-    assert apart_mm(None) == pytest.approx(177.8)
-    drawn = [apart_mm(s) for s in range(60)]
-    assert np.mean(drawn) == pytest.approx(177.8, abs=1.0)
-    assert 1.5 < np.std(drawn) < 2.8
+    assert apart_mm(None) == pytest.approx([177.8, 177.8])
+    drawn = np.array([apart_mm(s) for s in range(200)])
+    assert drawn.mean(axis=0) == pytest.approx([177.8, 177.8], abs=0.6)
+    assert drawn.std(axis=0) == pytest.approx([2.55, 2.55], rel=0.2)  # 2 x (1.5^2 + 1.0^2)
+    assert np.corrcoef(drawn.T)[0, 1] == pytest.approx(0.69, abs=0.15)
 
 
 def test_russian_plate_has_two_heights_and_the_digits_are_main() -> None:

@@ -119,6 +119,16 @@ def test_a_blue_body_a_yellow_plate_and_a_picture_are_no_bands():
     assert np.array_equal(with_bands(image, true, 1.0).corners_px, true)
 
 
+@pytest.mark.parametrize("inside_px", [4, 6, 8])
+def test_a_blue_picture_near_the_end_of_a_plate_moves_no_side(inside_px):
+    image, true = _two_tone((236, 240, 240), (112, 116, 120))
+    left = 59 + inside_px
+    image[43:76, left : left + 10] = (170, 60, 20)
+    for given in (true, true + np.array([[-0.5, 0.3]] * 4)):
+        corners = refine_outline(image, given, 0.5, False).corners_px
+        assert np.abs(corners - true).max() < 0.6
+
+
 def _low(band_bgr, body_bgr, ground_bgr=(236, 240, 240)):
     """A plate of 24 x 5.3 px whose right 2 px are a band, as a camera sees it; shrunk from eight times the size."""
     big = np.full((160, 480, 3), body_bgr, np.float32)

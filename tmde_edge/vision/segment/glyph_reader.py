@@ -78,8 +78,8 @@ class GlyphReader:
             readings.update(zip(which, found, strict=True))
         return [readings[i] for i in range(len(candidates))]
 
-    def _measure(self, image: Image, colour: Image, reading: GlyphReading, hurried: bool) -> PlateReading:
-        """The outline in the picture that was read, the characters in the image itself."""
+    def _measure(self, picture: Image, image: Image, reading: GlyphReading, hurried: bool) -> PlateReading:
+        """The outline in the picture that the network read, the characters in the image itself."""
         given_sigma = max(FLOOR_SIGMA_PX, sqrt(float(reading.sigma_px @ reading.sigma_px) / len(reading.sigma_px)))
         if is_convex(reading.corners_px):
             given_sigma *= 1 + (LOW_PLATE_PX / size_px(reading.corners_px)[1]) ** 2
@@ -90,11 +90,11 @@ class GlyphReader:
         if hurried and size_px(given.corners_px)[1] >= REFINE_HEIGHT_PX:
             fit = replace(given, refined=True)  # the network's corners, with their own sigma
         else:
-            fit = self._outline(image, colour, given, reading.light_on_dark)
+            fit = self._outline(picture, image, given, reading.light_on_dark)
         # glyphs are measured in the frame of the network's own corners: a wrong edge of the outline moves none of them
         tall_px = size_px(given.corners_px)[1]
         rows = round(max(QUICK_ROWS, 2 * tall_px)) if hurried and tall_px < QUICK_ROWS else None
-        view = flatten(colour, given.corners_px, rows)
+        view = flatten(image, given.corners_px, rows)
         if view is None or not reading.glyphs:
             return _plain(fit, reading)
         boxes = _flat_boxes(reading.glyphs, view)
@@ -124,16 +124,16 @@ class GlyphReader:
             bolts=() if hurried else find_bolts(view, edges, self._bolts),
         )
 
-    def _outline(self, image: Image, colour: Image, given: OutlineFit, light_on_dark: bool) -> OutlineFit:
+    def _outline(self, picture: Image, image: Image, given: OutlineFit, light_on_dark: bool) -> OutlineFit:
         """The image's own edges where they agree with the network's corners; else those corners, blue bands taken in."""
         if size_px(given.corners_px)[1] < REFINE_HEIGHT_PX:
             if light_on_dark or not self._settings.refine:
                 return replace(given, refined=True)
-            banded = with_bands(colour, given.corners_px, LOW_BAND_SLACK_PX)
+            banded = with_bands(image, given.corners_px, LOW_BAND_SLACK_PX)
             return replace(given, corners_px=banded.corners_px, refined=True)
         if not self._settings.refine:
             return given
-        fit = refine_outline(image, given.corners_px, given.sigma_px, light_on_dark, self._line_share, colour)
+        fit = refine_outline(picture, given.corners_px, given.sigma_px, light_on_dark, self._line_share, image)
         if not fit.side_sigma_px:
             return replace(given, corners_px=fit.corners_px)
         return replace(fit, corners_px=steadied(fit.corners_px, fit.sigma_px))
