@@ -1,46 +1,104 @@
-"""Whether what looks like two bolts is a pair of them, by what everything else says about the distance."""
+"""What two spots that look like bolts say of the distance, as far as they are believed: they may be print.
+
+The plate is fitted without them first. How far a pair lies from where that fit puts it tells how likely it is one; the answer
+mixes the fit without and the fit with it by that. A track keeps the mean of what its frames said, and applies it in those without
+bolts too: the bolts of one plate do not change, and the distance must not jump when they are seen. They teach the scale memory
+nothing, so the same print cannot make itself believed.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tmde_edge.ranging.features import Features
-from tmde_edge.ranging.fit import LOG_D, POSE, ROLL, Fit, Model, U, V, axes
+from tmde_edge.ranging.fit import LOG_D, POSE, ROLL, Fit, Model, U, V, axes, solve
 
 Floats = NDArray[np.float64]
 
-_PRINT = 0.1  # chance that a pair is print
-_PRINT_SPREAD = 0.14  # log: the range of spacings that are taken for bolts' at all (vision/segment/bolts.py)
-_BELIEVED = 1.8  # sigmas from where the rest puts it
+PRINT = 0.1  # chance that a pair is print
+PRINT_SPREAD = 0.14  # log: the range of spacings that are taken for bolts' at all (vision/segment/bolts.py)
+BELIEVED = 0.5  # pairs less likely than this are left out where another one is more
+MEAN_OF = 25  # frames
+STEP = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class BoltsSay:
+    """What bolts change in a standard's answer: the mean log distance, and the variance of its scale by a factor."""
+
+    shift: float = 0.0
+    factor: float = 1.0
+    frames: int = 0
+
+    def with_frame(self, shift: float, factor: float) -> BoltsSay:
+        """The running mean after one more frame with bolts."""
+        gain = 1 / min(self.frames + 1, MEAN_OF)
+        return BoltsSay(self.shift + gain * (shift - self.shift), self.factor + gain * (factor - self.factor), self.frames + 1)
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """One frame's pairs: their chances (m,) to be bolts, what they say, and their log evidence for the standard."""
+
+    chances: Floats
+    shift: float
+    factor: float
+    evidence: float
 
 
 def without_bolts(features: Features) -> Features:
     """The same without any pair."""
-    return replace(features, bolts=np.empty((0, 2, 2)), bolts_sigma=np.empty(0)) if len(features.bolts) else features
+    return _only(features, np.zeros(len(features.bolts), dtype=bool))
 
 
-def judge(features: Features, model: Model, fit: Fit) -> tuple[Features, float]:
-    """The features with the pairs that are believed, and how much all pairs speak for the standard, in log evidence.
+def judge(features: Features, model: Model, fit: Fit) -> Judged | None:
+    """What a frame's pairs say beside the fit without them; None where the fit with them does not end at a plate.
 
-    fit: made without bolts, so print cannot argue for itself. On a track the first verdict holds (TrackScale.bolts): what is in
-    doubt would else come and go, and the distance jump with it. A standard whose bolts nobody states gets no evidence: to it
-    any spacing is as likely as any other.
+    Evidence is against a standard whose bolts nobody states: to that any spacing is as likely as any other.
     """
-    b = POSE + len(model.class_height_m) + 3
-    right, _, away = (a[0] for a in axes(fit.x[None, : ROLL + 1]))
-    at = np.concatenate([features.bolts, np.ones((*features.bolts.shape[:2], 1))], axis=2)
-    depth = float(away @ [fit.x[U], fit.x[V], 1.0]) * np.exp(fit.x[LOG_D]) / (at @ away)
-    place = depth * (at @ right)
-    apart = np.maximum(place[:, 1] - place[:, 0], 1e-6)
-    off = np.log(apart / (model.bolts_m * np.exp(fit.x[b])))
-    both = fit.covariance[np.ix_([LOG_D, b], [LOG_D, b])]
-    noise = 2 * (depth.mean(axis=1) * features.bolts_sigma) ** 2 + model.bolt_jitter_m**2
-    sigma = np.sqrt(both[0, 0] + both[1, 1] - 2 * both[0, 1] + noise / apart**2)
-    true = (1 - _PRINT) * np.exp(-0.5 * (off / sigma) ** 2) / (sigma * (2 * np.pi) ** 0.5)
-    # Rows hang on one distance: their mean, not their sum.
-    evidence = float(np.mean(np.log(true * _PRINT_SPREAD + _PRINT)))
-    believed = np.abs(off) < _BELIEVED * sigma
-    return replace(features, bolts=features.bolts[believed], bolts_sigma=features.bolts_sigma[believed]), evidence
+    off, sigma = _off(features, model, fit)
+    true = (1 - PRINT) * PRINT_SPREAD * np.exp(-0.5 * (off / sigma) ** 2) / (sigma * math.sqrt(2 * math.pi))
+    chances = true / (true + PRINT)
+    chosen = chances >= min(BELIEVED, float(chances.max()))
+    joint = solve(_only(features, chosen), model, fit.x)
+    if joint is None:
+        return None
+    p, apart = float(chances[chosen].mean()), float(joint.x[LOG_D] - fit.x[LOG_D])
+    before, after = float(fit.prior[LOG_D, LOG_D]), float(joint.prior[LOG_D, LOG_D])
+    mixed = (1 - p) * before + p * after + p * (1 - p) * apart**2
+    # Rows hang on one distance: the mean of what they say, not its sum.
+    evidence = float(np.mean(np.log(true + PRINT)))
+    return Judged(chances, p * apart, mixed / before, evidence)
+
+
+def believed(features: Features, judged: Judged | None) -> Features:
+    """With the pairs that are rather bolts than print, or with all where none is: for their cue."""
+    if judged is None or not (judged.chances >= BELIEVED).any():
+        return features
+    return _only(features, judged.chances >= BELIEVED)
+
+
+def _only(features: Features, which: NDArray[np.bool_]) -> Features:
+    return replace(features, bolts=features.bolts[which], bolts_sigma=features.bolts_sigma[which])
+
+
+def _off(features: Features, model: Model, fit: Fit) -> tuple[Floats, Floats]:
+    """Log of each pair's spacing over the expected one (m,), and its sigma from the whole pose, the sizes and the image."""
+    p = len(fit.x)
+    batch = np.repeat(fit.x[None], p + 1, axis=0)
+    batch[np.arange(1, p + 1), np.arange(p)] += STEP
+    right, _, away = axes(batch[:, : ROLL + 1])
+    at = np.concatenate([features.bolts.reshape(-1, 2), np.ones((2 * len(features.bolts), 1))], axis=1)
+    lift = (away[:, 0] * batch[:, U] + away[:, 1] * batch[:, V] + away[:, 2]) * np.exp(batch[:, LOG_D])
+    depth = lift[:, None] / (away @ at.T)
+    place = (depth * (right @ at.T)).reshape(p + 1, -1, 2)
+    apart = np.maximum(place[:, :, 1] - place[:, :, 0], 1e-3)  # metres; a pair that is turned round is far from any bolts'
+    off = np.log(apart / model.bolts_m) - batch[:, POSE + len(model.class_height_m) + 3, None]
+    gradient = (off[1:] - off[0]) / STEP
+    noise = 2 * (depth[0, ::2] * features.bolts_sigma) ** 2 + model.bolt_jitter_m**2
+    variance = np.einsum("pm,pq,qm->m", gradient, fit.covariance, gradient) + noise / np.maximum(apart[0], 0.05) ** 2
+    return off[0], np.sqrt(variance)

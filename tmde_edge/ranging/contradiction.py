@@ -21,7 +21,7 @@ def scale_factor(features: Features, model: Model, fit: Fit) -> float:
     Cues are the logs of the distances that the characters (their median: one wild character says nothing, all of them do), the
     plate's width and its height each say by their nominal or learned size. What a cue's features share, one reader, one class's
     tolerance, the edges' common error, stands in the cues' covariance and contradicts nothing; spacing is no cue, a missed
-    character doubles it; nor are bolts: such a pair is print. The plate is taken as turned only as far as perspective
+    character doubles it; nor are bolts (bolts.py weighs them). The plate is taken as turned only as far as perspective
     shows: a turn that the fit needs to reconcile two sizes is a contradiction. Of cues that share an error (a memory knows sizes
     by their ratio) S says too much: what it adds ends where the cue farthest from the answer lies. Source: Birge, Phys. Rev. 40
     (1932) 207; Particle Data Group, Review of Particle Physics, Introduction, 5.2.2 (which leaves out weak cues too).

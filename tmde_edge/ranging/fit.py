@@ -80,7 +80,6 @@ class Fit:
     glyphs_used: int
     corners_used: int
     pitch_used: bool
-    bolts_used: bool
     strain: float  # cost a residual; well above 1 where something does not fit
     rejected: float  # share of the characters that the fit calls wild
 
@@ -257,8 +256,8 @@ class _Problem:
         evidence = -0.5 * (state.cost + lenience) + 0.5 * (prior_logdet - (logdet if sign > 0 else 0.0))
         return Fit(
             x=x, noise=noise, prior=prior, data=state.data, cost=state.cost, evidence=float(evidence),
-            glyphs_used=len(self.glyph), corners_used=len(self.corner), pitch_used=bool(self.runs),
-            bolts_used=len(self.f.bolts) > 0, rejected=state.rejected, strain=strain,
+            glyphs_used=len(self.glyph), corners_used=len(self.corner), pitch_used=bool(self.runs), rejected=state.rejected,
+            strain=strain,
         )
 
 

@@ -18,7 +18,7 @@ from tmde_edge.ranging.settings import RangingSettings
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-# What is assumed where a standard says nothing: no information, but the track can learn it.
+# What is assumed where a standard says nothing: no information, but the track can learn it (of bolts it learns nothing).
 UNKNOWN_SIGMA = 0.25
 UNKNOWN_GLYPH_OF_HEIGHT = (0.66, 0.36)  # of plates with one row, with two
 UNKNOWN_PITCH_OF_GLYPH = 0.70  # of the standards that state both: mean 0.69, scatter 15 %

@@ -16,7 +16,7 @@ from tmde_edge.geometry.pinhole import Camera
 from tmde_edge.messages import CueRange, PlateSighting, RangeMeasurement
 from tmde_edge.plates.standard import PlateStandard
 from tmde_edge.ranging import cues, fuse
-from tmde_edge.ranging.bolts import judge, without_bolts
+from tmde_edge.ranging.bolts import BELIEVED, BoltsSay, Judged, believed, judge, without_bolts
 from tmde_edge.ranging.classify import StandardClass, classes, layout_log_likelihood, shape_log_likelihood
 from tmde_edge.ranging.contradiction import scale_factor
 from tmde_edge.ranging.features import Features, clusters, gather
@@ -52,7 +52,8 @@ class _Answer:
     yaw_sigma_rad: float
     known: Sizes
     bias: Floats
-    bolts: bool | None  # whether the track's bolts are believed; None: none were seen
+    bolts: BoltsSay
+    judged: Judged | None  # of this frame's bolts, where there are any
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,13 +173,10 @@ class Ranger:
         fits = _solutions(rest, model, starts(expected, features, model, known))
         if not fits:
             return None
-        without, for_bolts = fits[0].evidence, 0.0
-        believed = known.bolts.get(group.id) if known is not None else None
-        if expected.has_bolts and len(features.bolts):
-            seen, for_bolts = judge(features, model, fits[0])
-            believed = len(seen.bolts) > 0 if believed is None else believed
-            if believed and len(seen.bolts):
-                fits = sorted((solve(seen, model, f.x) or f for f in fits), key=lambda f: f.cost)
+        say = known.bolts.get(group.id, BoltsSay()) if known is not None else BoltsSay()
+        judged = judge(features, model, fits[0]) if expected.has_bolts and len(features.bolts) else None
+        if judged is not None:
+            say = say.with_frame(judged.shift, judged.factor)
         first, torn = fits[0], scale_factor(features, model, fits[0])
         best = replace(first, noise=torn**2 * first.noise, prior=torn**2 * first.prior)  # agreeing frames weigh more in a track
         weights = [float(np.exp(-0.5 * (f.cost - best.cost))) for f in fits]
@@ -186,11 +184,12 @@ class Ranger:
         _, yaw_sigma = fuse.mixture(weights, [f.x[YAW] for f in fits], [f.covariance[YAW, YAW] ** 0.5 for f in fits])
         lost = float(np.sum(glyph_class < 0)) * _UNASSIGNED_COST
         lost += _MISPLACED_COST * max(misplaced(expected, glyph_class) - 1.0, 0.0)  # one may be missed or misread
+        layout += judged.evidence if judged is not None else 0.0
         return _Answer(
-            group=group, log_d=log_d, noise_var=float(best.noise[LOG_D, LOG_D]) + spread**2,
-            prior_var=float(best.prior[LOG_D, LOG_D]), fit=best, glyph_class=glyph_class,
-            evidence=without + for_bolts - 0.5 * lost + layout, yaw_sigma_rad=yaw_sigma, known=sizes, bias=bias,
-            bolts=believed,
+            group=group, log_d=log_d + say.shift, noise_var=float(best.noise[LOG_D, LOG_D]) + spread**2,
+            prior_var=say.factor * float(best.prior[LOG_D, LOG_D]), fit=best, glyph_class=glyph_class,
+            evidence=best.evidence - 0.5 * lost + layout, yaw_sigma_rad=yaw_sigma, known=sizes, bias=bias,
+            bolts=say, judged=judged,
         )
 
     def _evidence(self, answers: list[_Answer], known: TrackScale | None, scores: dict[str, _Score], size_px: float) -> Evidence:
@@ -222,13 +221,12 @@ class Ranger:
             # Only a plate seen large tells its proportions: far away blur thickens characters and edges alike, every frame.
             heights_px = sorted(g.height_px for g in plate.glyphs)
             large = bool(heights_px) and heights_px[len(heights_px) // 2] >= self.settings.memory_char_height_px
-            telling = large or a.fit.bolts_used
-            sizes[a.group.id] = learn(a.known, a.bias, a.fit.x[POSE:], cov, share) if telling else a.known
+            sizes[a.group.id] = learn(a.known, a.bias, a.fit.x[POSE:], cov, share) if large else a.known
         best = max(answers, key=lambda a: belief[a.group.id])
         mean, _ = _mixed(parts)
         offsets = {k: p.log_d - mean for k, p in parts.items()}
         misfits = known.misfits + 1 if known is not None and self._misfit(answers) else 0
-        bolts = {**(known.bolts if known is not None else {}), **{a.group.id: a.bolts for a in answers if a.bolts is not None}}
+        bolts = {**(known.bolts if known is not None else {}), **{a.group.id: a.bolts for a in answers if a.bolts.frames}}
         return TrackScale(
             track_id=plate.track_id, t_ns=t_ns, evidence=evidence, log_offsets=offsets, sizes=sizes,
             yaw_rad=float(best.fit.x[YAW]), yaw_sigma_rad=best.yaw_sigma_rad, lean_rad=float(best.fit.x[LEAN]),
@@ -278,7 +276,7 @@ class Ranger:
         if not tall.any() and len(features.heights):
             tall = np.zeros(len(features.heights), dtype=bool)
             tall[clusters(np.log(features.heights))[0]] = answer.group.expected.classes == 1
-        return cues.all_cues(features, answer.group.expected.standard, tall, self.settings)
+        return cues.all_cues(believed(features, answer.judged), answer.group.expected.standard, tall, self.settings)
 
 
 def _size_px(features: Features) -> float:
@@ -345,7 +343,7 @@ def _used_by_fit(answer: _Answer) -> frozenset[str]:
         used |= {"plate_width", "plate_height"}
     if expected.has_pitch and fit.pitch_used:
         used.add("char_spacing")
-    if fit.bolts_used:
+    if answer.judged is not None and answer.judged.chances.max() >= BELIEVED:
         used.add("bolt_spacing")
     return frozenset(used)
 

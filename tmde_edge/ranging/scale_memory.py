@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from tmde_edge.ranging.bolts import BoltsSay
+
 Floats = NDArray[np.float64]
 
 LOOK_STEP = 0.15  # log size: by so much grown, a plate's edges fall anew into the pixels and blur matters less
@@ -71,7 +73,7 @@ class TrackScale:
     lean_sigma_rad: float = 1.0
     roll_rad: float = 0.0
     frames: int = 0
-    bolts: dict[str, bool] = field(default_factory=dict)  # whether what looked like bolts is believed, by standard
+    bolts: dict[str, BoltsSay] = field(default_factory=dict)  # what bolts change, by standard
     misfits: int = 0  # frames in a row that contradict what was learned
 
 

@@ -16,6 +16,9 @@ from tmde_edge.tracking.settings import TrackerSettings
 Source = Literal["plate", "vehicle", "flow", "depth"]
 LATERAL_TAU_S = 0.25  # smoothing of the lateral offset: short against a lane change of 2 to 4 s
 STANDING_MPS = 1.0  # a vehicle that was never surely faster than this stands
+# So long it must surely move to have moved: the first ranges of a far plate err together, and a tenth of a second of them may
+# look like 15 m/s.
+MOVED_NS = 200_000_000
 ONCOMING_MPS, ONCOMING_SHARE = 3.0, 0.35
 DEPTH_CARRIES_AFTER_S = 0.15  # without any other measurement for longer than this a reading carries the lead
 DEPTH_CARRIES_NS = 600_000_000  # and it does so for this long ...
@@ -46,7 +49,8 @@ class Track:
     hits: int = 1
     in_path: bool = False
     in_path_since_ns: int = 0
-    moved: bool = False  # was ever surely seen to move over ground
+    moved: bool = False  # was ever surely seen to move over ground, for MOVED_NS
+    moving_since_ns: int | None = None
     oncoming: bool = False  # came towards us when its speed over ground was last known
     speed_ns: int | None = None  # when that was
     stood: bool = False  # was last judged as what stands
@@ -281,7 +285,11 @@ class LeadTracker:
         if self._ego is None or speed is None:
             return
         track.speed_ns = track.t_ns
-        track.moved = track.moved or _moved(track, speed)
+        if not _moves(track, speed):
+            track.moving_since_ns = None
+        elif track.moving_since_ns is None:
+            track.moving_since_ns = track.t_ns
+        track.moved = track.moved or (track.moving_since_ns is not None and track.t_ns - track.moving_since_ns >= MOVED_NS)
         track.oncoming = _oncoming(track, speed, self._ego.speed_mps)
 
     def _in_path(self, track: Track) -> bool:
@@ -339,7 +347,7 @@ def _grow(state: RangeFilter, change: ScaleChange, sigma: float, t_ns: int, most
     return innovation
 
 
-def _moved(track: Track, speed_mps: float) -> bool:
+def _moves(track: Track, speed_mps: float) -> bool:
     """Whether it surely drives away from where it is, also where its plate's size is not quite known."""
     sigma = math.sqrt(max(float(track.filter.covariance[1, 1]), 0.0))
     return speed_mps - 2.0 * math.hypot(sigma, track.scale_sigma * track.filter.range_rate_mps) > STANDING_MPS

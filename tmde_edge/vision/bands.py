@@ -17,9 +17,10 @@ from tmde_edge.vision.rectify import bounds, size_px
 
 Array = NDArray[np.float64]
 HEIGHTS_PX = (7.0, 12.0)  # of plates: on the lower ones a band is 1.5 to 3 px wide, and blur pales it
-LEAST_BLUE = (20.0, 30.0)  # grey levels over the ground's own blueness, and over half of the band's beyond it
+LEAST_BLUE = (20.0, 30.0)  # grey levels: twice as much over the ground's own blueness, so much over what lies beyond
 LEAST_WIDTH_PX = (1.0, 2.0)  # of a band
 WIDTH = (0.09, 0.65)  # of the plate's height
+SURROUND, SURROUND_PX = 0.07, 1.5  # so far above and below the plate no band goes on, in plate heights, or pixels
 INSIDE, OUTSIDE = 0.9, 0.75  # sampled so far into the plate and out of it, in plate heights
 ROWS, STEPS = 15, 56
 
@@ -65,7 +66,8 @@ def _blueness(image: Image, corners_px: Array, margin_px: float) -> tuple[NDArra
     h, w = image.shape[:2]
     x0, y0, x1, y1 = bounds(corners_px)
     left, right = max(0, int(x0 - margin_px)), min(w, int(x1 + margin_px) + 2)
-    top, bottom = max(0, int(y0 - 2)), min(h, int(y1 + 3))
+    up_px = max(SURROUND * (y1 - y0), SURROUND_PX) + 2
+    top, bottom = max(0, int(y0 - up_px)), min(h, int(y1 + up_px) + 2)
     if right - left < 4 or bottom - top < 3:
         return None
     part = image[top:bottom, left:right].astype(np.float32)
@@ -105,5 +107,10 @@ def _band_end(patch: NDArray[np.float32], a: Array, b: Array, height_px: float) 
         return None  # a blue ground, a blue body, or a mark
     if across[end] < -0.25 * height_px:  # inside the plate: a picture or a print
         return None
+    outside = 0.5 + max(SURROUND, SURROUND_PX / height_px)
+    for beside in (-outside, outside):
+        row = ((a + b) / 2 + beside * (b - a) + across[begin : end + 1, None] * outward).astype(np.float32)[None]
+        if outer < float(np.median(cv2.remap(patch, row[..., 0], row[..., 1], cv2.INTER_LINEAR))) < profile[top] + least:
+            return None  # a blue frame or recess goes on round the corner
     last, after = float(profile[end]), float(profile[end + 1])
     return float(across[end]) + step * (last - outer) / max(last - after, 1e-6)

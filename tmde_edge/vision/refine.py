@@ -34,7 +34,8 @@ NO_LINE_PX = 0.1  # thinner is none
 ODD_SIDE = 0.2  # chance that a side shows no border line though the plate has one, or something like one though it has none
 # The given outline's error in its own sigmas: what all sides share (three quarters of it on rendered stills); each one's rest.
 OFF_TOGETHER, OFF_EACH = 1.5, 1.2
-PRINT_SIGMAS = 2.5  # of the given outline: what is blue and ends farther inside is a picture, not a band
+# What is blue and ends farther inside the outline is a picture, not a band: in sigmas of a given side and of a band's end.
+PRINT_SIGMAS = 2.5
 REACH_OF_HEIGHT = 0.13  # how far from the given outline an edge is looked for, in plate heights
 SAMPLES = 32  # of a profile on either side of the given outline
 TILT_OF_HEIGHT = 0.12  # how much the two ends of a side may move against each other
@@ -122,9 +123,8 @@ def _believed(side: Side, given_sigma_px: float) -> bool:
 
 def _band_ends(banded: Banded, given_sigma_px: float) -> list[float | None]:
     """Outward offsets of the bands' ends for the top, right, bottom and left side; what ends well inside the plate is print."""
-    right, left = (
-        end if end is not None and end > -PRINT_SIGMAS * given_sigma_px else None for end in (banded.right_px, banded.left_px)
-    )
+    inside = PRINT_SIGMAS * max(np.hypot(OFF_TOGETHER, OFF_EACH) * given_sigma_px, BAND_SIGMA_PX)
+    right, left = (end if end is not None and end > -inside else None for end in (banded.right_px, banded.left_px))
     return [None, right, None, left]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -121,7 +122,7 @@ def towards(tracker: LeadTracker, *, closing_mps: float, lateral_m: float, ego_m
 
 def test_what_stands_must_overlap_half_of_us_what_drives_need_not() -> None:
     assert not any(towards(LeadTracker(S), closing_mps=14.0, lateral_m=1.05)[10:])
-    assert all(towards(LeadTracker(S), closing_mps=8.0, lateral_m=1.05)[10:])
+    assert all(towards(LeadTracker(S), closing_mps=8.0, lateral_m=1.05)[15:])
     assert all(towards(LeadTracker(S), closing_mps=14.0, lateral_m=0.3)[10:])
 
 
@@ -136,6 +137,22 @@ def test_a_vehicle_that_drove_is_no_parked_one_when_it_stops() -> None:
     assert still.tracks[1].stands
 
 
+def test_the_first_wild_ranges_of_a_far_parked_car_make_it_no_driver() -> None:
+    """For a tenth of a second they say that it drives away, then its growth tells its speed."""
+    t, v, first = LeadTracker(S), 11.5, [39.0, 39.2, 39.5, 39.8]
+    for k in range(45):
+        at = k * DT_NS
+        t.set_ego(EgoState(t_ns=at, speed_mps=v, yaw_rate_radps=0.0))
+        t.predict(at)
+        distance_m = first[k] if k < len(first) else 40.6 - v * k / 30
+        t.update(replace(measured(1, at, distance_m, 1.0), noise_m=0.2), "plate")
+        if k == 5:
+            t.grow(ScaleChange(track_id=1, t_from_ns=0, ratio=1 / (1 - v * k / 30 / 40.6), sigma=0.004), at)
+        t.choose(at)
+    assert not t.tracks[1].moved
+    assert t.tracks[1].filter.lead_speed_mps == pytest.approx(0.0, abs=1.0)
+
+
 @pytest.mark.parametrize("lost_s", [(0.0, 0.03), (0.0, 0.15), (0.5, 0.65), (0.5, 1.3), (0.5, 2.2)])
 def test_losing_our_own_speed_for_a_moment_makes_no_parked_car_drive(lost_s: tuple[float, float]) -> None:
     t = LeadTracker(S)
@@ -144,7 +161,7 @@ def test_losing_our_own_speed_for_a_moment_makes_no_parked_car_drive(lost_s: tup
     ahead = LeadTracker(S)
     assert all(towards(ahead, closing_mps=14.0, lateral_m=0.2, seconds=2.5, lost_s=lost_s)[6:])
     slower = LeadTracker(S)
-    assert all(towards(slower, closing_mps=8.0, lateral_m=1.0, seconds=2.5, lost_s=lost_s)[6:])
+    assert all(towards(slower, closing_mps=8.0, lateral_m=1.0, seconds=2.5, lost_s=lost_s)[15:])  # half a second
     assert not slower.tracks[1].stands
 
 

@@ -129,6 +129,23 @@ def test_a_blue_picture_near_the_end_of_a_plate_moves_no_side(inside_px):
         assert np.abs(corners - true).max() < 0.6
 
 
+@pytest.mark.parametrize("width_px", [70, 120])
+@pytest.mark.parametrize("frame_h", [0.12, 0.3])
+def test_a_blue_frame_round_a_plate_is_no_band(width_px, frame_h):
+    height_px = width_px // 4
+    border = round(frame_h * height_px)
+    image = np.full((120, 240, 3), (112, 116, 120), np.float32)
+    x, y = 50, 40
+    image[y - border : y + height_px + border, x - border : x + width_px + border] = (160, 60, 10)
+    image[y : y + height_px, x : x + width_px] = (236, 240, 240)
+    image[y + height_px // 4 : y + 3 * height_px // 4, x + 8 : x + width_px - 8 : 7] = 25
+    image = cv2.GaussianBlur(image, (0, 0), 0.7).astype(np.uint8)
+    left, top, right, bottom = x - 0.5, y - 0.5, x + width_px - 0.5, y + height_px - 0.5
+    true = np.array([[left, top], [right, top], [right, bottom], [left, bottom]])
+    assert np.abs(with_bands(image, true, 1.0).corners_px - true).max() == 0
+    assert np.abs(refine_outline(image, true, 0.5, False).corners_px - true).max() < 0.5
+
+
 def _low(band_bgr, body_bgr, ground_bgr=(236, 240, 240)):
     """A plate of 24 x 5.3 px whose right 2 px are a band, as a camera sees it; shrunk from eight times the size."""
     big = np.full((160, 480, 3), body_bgr, np.float32)
