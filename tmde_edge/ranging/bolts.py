@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tmde_edge.ranging.features import Features
-from tmde_edge.ranging.fit import LOG_D, POSE, ROLL, Fit, Model, U, V, axes, solve
+from tmde_edge.ranging.fit import LOG_D, POSE, ROLL, STEP, Fit, Model, U, V, axes, bolts_apart_m, nudged, solve
 
 Floats = NDArray[np.float64]
 
@@ -23,7 +23,6 @@ PRINT = 0.1  # chance that a pair is print
 PRINT_SPREAD = 0.14  # log: the range of spacings that are taken for bolts' at all (vision/segment/bolts.py)
 BELIEVED = 0.5  # pairs less likely than this are left out where another one is more
 MEAN_OF = 25  # frames
-STEP = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,10 +48,15 @@ class Judged:
     factor: float
     evidence: float
 
+    @property
+    def believed(self) -> NDArray[np.bool_]:
+        """Which pairs (m,) are rather bolts than print."""
+        return np.asarray(self.chances >= BELIEVED)
+
 
 def without_bolts(features: Features) -> Features:
-    """The same without any pair."""
-    return _only(features, np.zeros(len(features.bolts), dtype=bool))
+    """The same without any pair; most plates show none, and every fit asks."""
+    return _only(features, np.zeros(len(features.bolts), dtype=bool)) if len(features.bolts) else features
 
 
 def judge(features: Features, model: Model, fit: Fit) -> Judged | None:
@@ -77,9 +81,7 @@ def judge(features: Features, model: Model, fit: Fit) -> Judged | None:
 
 def believed(features: Features, judged: Judged | None) -> Features:
     """With the pairs that are rather bolts than print, or with all where none is: for their cue."""
-    if judged is None or not (judged.chances >= BELIEVED).any():
-        return features
-    return _only(features, judged.chances >= BELIEVED)
+    return features if judged is None or not judged.believed.any() else _only(features, judged.believed)
 
 
 def _only(features: Features, which: NDArray[np.bool_]) -> Features:
@@ -88,17 +90,12 @@ def _only(features: Features, which: NDArray[np.bool_]) -> Features:
 
 def _off(features: Features, model: Model, fit: Fit) -> tuple[Floats, Floats]:
     """Log of each pair's spacing over the expected one (m,), and its sigma from the whole pose, the sizes and the image."""
-    p = len(fit.x)
-    batch = np.repeat(fit.x[None], p + 1, axis=0)
-    batch[np.arange(1, p + 1), np.arange(p)] += STEP
+    batch = nudged(fit.x)
     right, _, away = axes(batch[:, : ROLL + 1])
-    at = np.concatenate([features.bolts.reshape(-1, 2), np.ones((2 * len(features.bolts), 1))], axis=1)
     lift = (away[:, 0] * batch[:, U] + away[:, 1] * batch[:, V] + away[:, 2]) * np.exp(batch[:, LOG_D])
-    depth = lift[:, None] / (away @ at.T)
-    place = (depth * (right @ at.T)).reshape(p + 1, -1, 2)
-    apart = np.maximum(place[:, :, 1] - place[:, :, 0], 1e-3)  # metres; a pair that is turned round is far from any bolts'
+    apart, noise = bolts_apart_m(features, model, lift[:, None], right, away)
+    apart = np.maximum(apart, 1e-3)  # a pair that is turned round is far from any bolts'
     off = np.log(apart / model.bolts_m) - batch[:, POSE + len(model.class_height_m) + 3, None]
     gradient = (off[1:] - off[0]) / STEP
-    noise = 2 * (depth[0, ::2] * features.bolts_sigma) ** 2 + model.bolt_jitter_m**2
-    variance = np.einsum("pm,pq,qm->m", gradient, fit.covariance, gradient) + noise / np.maximum(apart[0], 0.05) ** 2
+    variance = np.einsum("pm,pq,qm->m", gradient, fit.covariance, gradient) + (noise / np.maximum(apart[0], 0.05)) ** 2
     return off[0], np.sqrt(variance)

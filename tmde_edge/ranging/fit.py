@@ -22,7 +22,7 @@ YAW, LEAN, ROLL, U, V, LOG_D = range(6)
 POSE = 6  # parameters before the sizes
 AFTER_CLASSES = 4  # sizes after those of the characters: width, height, pitch, bolts
 
-_STEP = 1e-6  # forward differences
+STEP = 1e-6  # forward differences
 _MAX_STEPS = 9
 _CLOSE = 0.02  # expected fall of the cost at which the last step is taken unseen: 0.14 sigma
 _GLYPH_C = 2.4  # Cauchy scale in sigmas: 95 % efficient on Gaussian noise
@@ -177,23 +177,17 @@ class _Problem:
         parts = [corners, heights]
         pitch = self.m.pitch_m * size[:, k + 3]
         for centres, sigma, weights in self.runs:
-            depth = lift / (away[:, :2] @ centres.T + away[:, 2:])
-            place = depth * (right[:, :2] @ centres.T + right[:, 2:])  # metres along the row
+            depth, place = on_plane(centres, lift, right, away)
             spread = np.sqrt(np.sum(weights**2 * (depth[0] ** 2 * sigma**2 / 2 + self.m.pitch_jitter_m**2)))
             parts.append(((place @ weights - pitch) / spread)[:, None])
         if len(self.f.bolts):
-            at = self.f.bolts.reshape(-1, 2)
-            depth = lift / (away[:, :2] @ at.T + away[:, 2:])
-            place = (depth * (right[:, :2] @ at.T + right[:, 2:])).reshape(n, -1, 2)
-            spread = np.sqrt(2 * (depth[:1, ::2] * self.f.bolts_sigma) ** 2 + self.m.bolt_jitter_m**2)
-            parts.append((place[:, :, 1] - place[:, :, 0] - self.m.bolts_m * size[:, k + 4 : k + 5]) / spread)
+            apart, spread = bolts_apart_m(self.f, self.m, lift, right, away)
+            parts.append((apart - self.m.bolts_m * size[:, k + 4 : k + 5]) / spread)
         return np.concatenate(parts, axis=1)
 
     def linearise(self, x: Floats) -> _State | None:
         """Cost, Gauss-Newton matrix and gradient at x (p,); None when not finite."""
-        p = len(x)
-        batch = np.repeat(x[None], p + 1, axis=0)
-        batch[np.arange(1, p + 1), np.arange(p)] += _STEP
+        batch = nudged(x)
         with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
             r = self.residuals(batch)
         if not np.isfinite(r).all():
@@ -206,7 +200,7 @@ class _Problem:
         w = 1 / (1 + np.concatenate([np.repeat(pairs, 2) / _CORNER_C**2, squares[c:] / _GLYPH_C**2]))
         logs = -np.log(w)
         cost = _CORNER_C**2 * float(logs[:c:2].sum()) + _GLYPH_C**2 * float(logs[c:].sum())
-        jacobian = (r[1:] - now) * (1 / _STEP)  # transposed: (p, m)
+        jacobian = (r[1:] - now) * (1 / STEP)  # transposed: (p, m)
         weighted = jacobian * w
         data = weighted @ jacobian.T
         off, slope = self._tailed(x - self.m.mean)
@@ -259,6 +253,28 @@ class _Problem:
             glyphs_used=len(self.glyph), corners_used=len(self.corner), pitch_used=bool(self.runs), rejected=state.rejected,
             strain=strain,
         )
+
+
+def nudged(x: Floats) -> Floats:
+    """x (p,) and, below it, x with one parameter after the other a STEP larger: (p + 1, p)."""
+    p = len(x)
+    batch = np.repeat(x[None], p + 1, axis=0)
+    batch[np.arange(1, p + 1), np.arange(p)] += STEP
+    return batch
+
+
+def on_plane(points: Floats, lift: Floats, right: Floats, away: Floats) -> tuple[Floats, Floats]:
+    """Depths (b, n) of image points (n, 2) on planes of offset lift (b, 1), and where along right they lie there; metres."""
+    depth = lift / (away[:, :2] @ points.T + away[:, 2:])
+    return depth, depth * (right[:, :2] @ points.T + right[:, 2:])
+
+
+def bolts_apart_m(features: Features, model: Model, lift: Floats, right: Floats, away: Floats) -> tuple[Floats, Floats]:
+    """Distance of each pair of bolts (b, m) on planes as in on_plane, and one sigma of it (m,) at the first."""
+    depth, place = on_plane(features.bolts.reshape(-1, 2), lift, right, away)
+    pairs = place.reshape(len(place), -1, 2)
+    sigma = np.sqrt(2 * (depth[0, ::2] * features.bolts_sigma) ** 2 + model.bolt_jitter_m**2)
+    return pairs[:, :, 1] - pairs[:, :, 0], sigma
 
 
 def corners_of(model: Model, x: Floats, right: Floats, down: Floats) -> Floats:

@@ -16,7 +16,7 @@ from tmde_edge.geometry.pinhole import Camera
 from tmde_edge.messages import CueRange, PlateSighting, RangeMeasurement
 from tmde_edge.plates.standard import PlateStandard
 from tmde_edge.ranging import cues, fuse
-from tmde_edge.ranging.bolts import BELIEVED, BoltsSay, Judged, believed, judge, without_bolts
+from tmde_edge.ranging.bolts import BoltsSay, Judged, believed, judge, without_bolts
 from tmde_edge.ranging.classify import StandardClass, classes, layout_log_likelihood, shape_log_likelihood
 from tmde_edge.ranging.contradiction import scale_factor
 from tmde_edge.ranging.features import Features, clusters, gather
@@ -343,7 +343,7 @@ def _used_by_fit(answer: _Answer) -> frozenset[str]:
         used |= {"plate_width", "plate_height"}
     if expected.has_pitch and fit.pitch_used:
         used.add("char_spacing")
-    if answer.judged is not None and answer.judged.chances.max() >= BELIEVED:
+    if answer.judged is not None and answer.judged.believed.any():
         used.add("bolt_spacing")
     return frozenset(used)
 
