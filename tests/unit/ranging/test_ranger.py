@@ -401,14 +401,16 @@ def test_bolts_say_nothing_of_plates_whose_spacing_no_source_gives() -> None:
     plate = _with_bolts(4.0)
     r = ranger("jp-mid")
     with_bolts, without = ranged(r, plate), ranged(r, replace(plate, bolts=()))
-    assert with_bolts.distance_m == pytest.approx(without.distance_m, rel=2e-3)
+    assert with_bolts == without
     assert "bolt_spacing" not in {c.cue for c in with_bolts.cues}
 
 
 def test_bolts_at_the_frames_edge_are_left_out() -> None:
     plate = _with_bolts(4.0)
-    cut = BoltSighting(left_px=(0.2, 500.0), right_px=plate.bolts[0].right_px, sigma_px=0.25)
+    apart_px = 1.03 * (plate.bolts[0].right_px[0] - plate.bolts[0].left_px[0])
+    cut, whole = (BoltSighting(left_px=(x, 500.0), right_px=(x + apart_px, 500.0), sigma_px=0.25) for x in (0.2, 3.0))
     r = ranger("us-aamva3")
+    assert ranged(r, replace(plate, bolts=(whole,))).distance_m != ranged(r, replace(plate, bolts=())).distance_m
     assert ranged(r, replace(plate, bolts=(cut,))).distance_m == ranged(r, replace(plate, bolts=())).distance_m
 
 
