@@ -18,6 +18,7 @@ Corners: TypeAlias = tuple[Point, Point, Point, Point]
 CoursePoint: TypeAlias = tuple[float, float, float]  # x, y and the sigma of x
 AlertLevel: TypeAlias = Literal["none", "caution", "warning"]
 Mode: TypeAlias = Literal["strict", "permissive"]
+Ground: TypeAlias = Literal["white", "yellow", "green", "blue"]  # white: and grey
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,6 +60,15 @@ class BoltSighting:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class PlateColours:
+    """Of the plate's ground, and whether its left and right end are blue bands; None: cannot be told."""
+
+    ground: Ground | None = None
+    left_band: bool | None = None
+    right_band: bool | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PlateSighting:
     """One plate in one frame, measured in source pixels only."""
 
@@ -78,6 +88,7 @@ class PlateSighting:
     blur_px: float | None = None  # estimated edge blur (one sigma)
     side_sigma_px: tuple[float, ...] = ()  # of the top, right, bottom and left line; empty: all as corners_sigma_px
     bolts: tuple[BoltSighting, ...] = ()  # of the rows in which a pair is seen
+    colours: PlateColours | None = None  # None: a grey picture, or not looked at
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

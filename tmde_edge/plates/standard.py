@@ -37,6 +37,7 @@ SHORTER, SHORTER_SIGMA = 0.06, 0.06  # log: how much shorter the others are (460
 LINE_SHARE = {True: 0.95, False: 0.05, None: 0.5}
 # Nobody states the limits to the last 0.1 mm of what is stamped: no tolerance is believed tighter than this.
 LEAST_SIGMA = 0.002
+BACKGROUNDS = ("white", "grey", "yellow", "green", "blue", "red", "black")
 
 
 class Size(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -104,6 +105,7 @@ class PlateStandard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     margin_tb: Size | None = None  # clear above and below the characters
     hole_spacing: Size | None = None
     background: str = "white"
+    other_backgrounds: tuple[str, ...] = ()  # that occur too: front plates, taxis, states
     ink: str = "black"
     band: Literal["", "left", "right", "both", "top"] = ""  # a coloured band without characters
     font: str = ""
@@ -264,6 +266,9 @@ def _fault(standard: PlateStandard) -> str:
         return "fixes neither a plate size nor a character height"
     if (standard.plate_width is None) != (standard.plate_height is None):
         return "needs both plate_width and plate_height, or neither"
+    for ground in (standard.background, *standard.other_backgrounds):
+        if ground not in BACKGROUNDS:
+            return f"background {ground!r} is none of {', '.join(BACKGROUNDS)}"
     if standard.weight <= 0:
         return "weight must be positive"
     for path, size in sizes(standard):

@@ -1,7 +1,7 @@
 """What two spots that look like bolts say of the distance, as far as they are believed: they may be print.
 
-The plate is fitted without them first. How far a pair lies from where that fit puts it tells how likely it is one; the answer
-mixes the fit without and the fit with it by that. A track keeps the mean of what its frames said, and applies it in those without
+The plate is fitted without them. How far a pair lies from where that fit puts it tells how likely it is one; the answer mixes the
+distances without and with it by that. A track keeps the mean of what its frames said, and applies it in those without
 bolts too: the bolts of one plate do not change, and the distance must not jump when they are seen. They teach the scale memory
 nothing, so the same print cannot make itself believed.
 """
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tmde_edge.ranging.features import Features
-from tmde_edge.ranging.fit import LOG_D, POSE, ROLL, STEP, Fit, Model, U, V, axes, bolts_apart_m, nudged, solve
+from tmde_edge.ranging.fit import LOG_D, ROLL, STEP, Fit, U, V, axes, nudged, on_plane
 
 Floats = NDArray[np.float64]
 
@@ -23,6 +23,16 @@ PRINT = 0.1  # chance that a pair is print
 PRINT_SPREAD = 0.14  # log: the range of spacings that are taken for bolts' at all (vision/segment/bolts.py)
 BELIEVED = 0.5  # pairs less likely than this are left out where another one is more
 MEAN_OF = 25  # frames
+BIAS_PX = 0.1  # error of the distance between two bolts that all rows share, one sigma
+
+
+@dataclass(frozen=True, slots=True)
+class BoltSize:
+    """A standard's bolts: the spacing, one sigma of its log that all rows share, and one of each bolt's place in its row."""
+
+    spacing_m: float
+    sigma: float
+    jitter_m: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,48 +64,48 @@ class Judged:
         return np.asarray(self.chances >= BELIEVED)
 
 
-def without_bolts(features: Features) -> Features:
-    """The same without any pair; most plates show none, and every fit asks."""
-    return _only(features, np.zeros(len(features.bolts), dtype=bool)) if len(features.bolts) else features
-
-
-def judge(features: Features, model: Model, fit: Fit) -> Judged | None:
-    """What a frame's pairs say beside the fit without them; None where the fit with them does not end at a plate.
+def judge(features: Features, bolts: BoltSize, fit: Fit) -> Judged:
+    """What a frame's pairs say beside the fit, which does not see them: one linear update of its distance by the believed.
 
     Evidence is against a standard whose bolts nobody states: to that any spacing is as likely as any other.
     """
-    off, sigma = _off(features, model, fit)
+    off, gradient, noise = _off(features, bolts, fit)
+    shared = bolts.sigma**2 + _bias(features) ** 2
+    every = gradient.T @ fit.covariance @ gradient + shared + np.diag(noise**2)
+    sigma = np.sqrt(every.diagonal())
     true = (1 - PRINT) * PRINT_SPREAD * np.exp(-0.5 * (off / sigma) ** 2) / (sigma * math.sqrt(2 * math.pi))
     chances = true / (true + PRINT)
-    chosen = chances >= min(BELIEVED, float(chances.max()))
-    joint = solve(_only(features, chosen), model, fit.x)
-    if joint is None:
-        return None
-    p, apart = float(chances[chosen].mean()), float(joint.x[LOG_D] - fit.x[LOG_D])
-    before, after = float(fit.prior[LOG_D, LOG_D]), float(joint.prior[LOG_D, LOG_D])
+    chosen = np.flatnonzero(chances >= min(BELIEVED, float(chances.max())))
+    slope = gradient[:, chosen]
+    gain = np.linalg.solve(every[np.ix_(chosen, chosen)], slope.T @ fit.covariance[:, LOG_D])  # (m,) of the log distance
+    kept = np.eye(len(fit.x))[LOG_D] - slope @ gain
+    p, apart, before = float(chances[chosen].mean()), -float(gain @ off[chosen]), float(fit.prior[LOG_D, LOG_D])
+    after = float(kept @ fit.prior @ kept) + shared * float(gain.sum()) ** 2
     mixed = (1 - p) * before + p * after + p * (1 - p) * apart**2
     # Rows hang on one distance: the mean of what they say, not its sum.
-    evidence = float(np.mean(np.log(true + PRINT)))
-    return Judged(chances, p * apart, mixed / before, evidence)
+    return Judged(chances, p * apart, mixed / before, float(np.mean(np.log(true + PRINT))))
 
 
 def believed(features: Features, judged: Judged | None) -> Features:
     """With the pairs that are rather bolts than print, or with all where none is: for their cue."""
-    return features if judged is None or not judged.believed.any() else _only(features, judged.believed)
+    if judged is None or not judged.believed.any():
+        return features
+    return replace(features, bolts=features.bolts[judged.believed], bolts_sigma=features.bolts_sigma[judged.believed])
 
 
-def _only(features: Features, which: NDArray[np.bool_]) -> Features:
-    return replace(features, bolts=features.bolts[which], bolts_sigma=features.bolts_sigma[which])
-
-
-def _off(features: Features, model: Model, fit: Fit) -> tuple[Floats, Floats]:
-    """Log of each pair's spacing over the expected one (m,), and its sigma from the whole pose, the sizes and the image."""
+def _off(features: Features, bolts: BoltSize, fit: Fit) -> tuple[Floats, Floats, Floats]:
+    """Log of each pair's spacing over the expected one (m,), its gradient (p, m) by what was fitted, and its own sigma (m,)."""
     batch = nudged(fit.x)
     right, _, away = axes(batch[:, : ROLL + 1])
     lift = (away[:, 0] * batch[:, U] + away[:, 1] * batch[:, V] + away[:, 2]) * np.exp(batch[:, LOG_D])
-    apart, noise = bolts_apart_m(features, model, lift[:, None], right, away)
-    apart = np.maximum(apart, 1e-3)  # a pair that is turned round is far from any bolts'
-    off = np.log(apart / model.bolts_m) - batch[:, POSE + len(model.class_height_m) + 3, None]
-    gradient = (off[1:] - off[0]) / STEP
-    variance = np.einsum("pm,pq,qm->m", gradient, fit.covariance, gradient) + (noise / np.maximum(apart[0], 0.05)) ** 2
-    return off[0], np.sqrt(variance)
+    depth, place = on_plane(features.bolts.reshape(-1, 2), lift[:, None], right, away)
+    apart = np.maximum(place[:, 1::2] - place[:, ::2], 1e-3)  # a pair that is turned round is far from any bolts'
+    noise = np.sqrt(2 * (depth[0, ::2] * features.bolts_sigma) ** 2 + 2 * bolts.jitter_m**2) / np.maximum(apart[0], 0.05)
+    off = np.log(apart / bolts.spacing_m)
+    return off[0], (off[1:] - off[0]) / STEP, noise
+
+
+def _bias(features: Features) -> float:
+    """One sigma of the error of the log spacing that all rows of a frame share."""
+    apart = features.bolts[:, 1] - features.bolts[:, 0]
+    return BIAS_PX / (features.focal_px * float(np.median(np.hypot(apart[:, 0], apart[:, 1]))))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +11,7 @@ from tmde_edge.messages import PlateSighting
 from tmde_edge.plates.standard import PlateStandard
 from tmde_edge.ranging.features import Features
 from tmde_edge.ranging.model import Expectation, expectations
+from tmde_edge.ranging.printed import group_count, print_log_likelihoods
 from tmde_edge.ranging.settings import RangingSettings
 
 SAME_SIZE = 0.012  # relative: nearer standards are one class
@@ -51,13 +52,29 @@ def classes(standards: Sequence[PlateStandard], settings: RangingSettings) -> tu
 def _same(a: Expectation, b: Expectation) -> bool:
     if len(a.keys) != len(b.keys):
         return False
-    if (a.has_glyph, a.has_outline, a.has_pitch, a.has_bolts) != (b.has_glyph, b.has_outline, b.has_pitch, b.has_bolts):
+    if (a.has_glyph, a.has_outline, a.has_pitch) != (b.has_glyph, b.has_outline, b.has_pitch):
+        return False
+    if (a.bolts is None) != (b.bolts is None):
+        return False
+    if a.bolts is not None and b.bolts is not None and abs(np.log(a.bolts.spacing_m / b.bolts.spacing_m)) >= SAME_SIZE:
         return False
     if a.standard.width_floats != b.standard.width_floats or a.standard.light_on_dark != b.standard.light_on_dark:
         return False
     if len(a.standard.rows) != len(b.standard.rows):
         return False
     return bool(np.all(np.abs(np.log(a.size_m / b.size_m)) < SAME_SIZE))
+
+
+def print_log_likelihood(groups: Iterable[StandardClass], plate: PlateSighting) -> dict[str, dict[str, float]]:
+    """What colours, bands and groups of characters say of each class (printed.py), by kind; the best of a class's members."""
+    apart, count = group_count(plate), len(plate.glyphs)
+    said: dict[str, dict[str, float]] = {}
+    for group in groups:
+        for member in group.members:
+            for kind, value in print_log_likelihoods(member, plate.colours, count, apart).items():
+                of_kind = said.setdefault(kind, {})
+                of_kind[group.id] = max(value, of_kind.get(group.id, value))
+    return said
 
 
 def layout_log_likelihood(group: StandardClass, plate: PlateSighting, features: Features) -> float:

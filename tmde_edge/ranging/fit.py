@@ -1,9 +1,9 @@
 """One joint robust fit of a plate's pose and of its true proportions to everything measured on it.
 
 Parameters: heading, lean and roll of the plate in the vehicle's axes; bearing (u, v) of its centre; log distance; and
-the logarithms of its true sizes over the standard's: glyph height of each class, plate width, plate height, pitch,
-spacing of bolts. The sizes carry the standard's tolerances (and what the track has learned) as priors, so that one wrong
-size moves every feature that hangs on it together, instead of being averaged as if the features were independent.
+the logarithms of its true sizes over the standard's: glyph height of each class, plate width, plate height, pitch. The
+sizes carry the standard's tolerances (and what the track has learned) as priors, so that one wrong size moves every
+feature that hangs on it together, instead of being averaged as if the features were independent.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ Ints = NDArray[np.int64]
 
 YAW, LEAN, ROLL, U, V, LOG_D = range(6)
 POSE = 6  # parameters before the sizes
-AFTER_CLASSES = 4  # sizes after those of the characters: width, height, pitch, bolts
+AFTER_CLASSES = 3  # sizes after those of the characters: width, height, pitch
 
 STEP = 1e-6  # forward differences
 _MAX_STEPS = 9
@@ -41,20 +41,17 @@ _SIGNS = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
 class Model:
     """What one standard expects of one sighting. Lengths in metres.
 
-    glyph_class (n,) gives each glyph's class or -1 for none; sizes: class heights (k,), then width, height, pitch,
-    spacing of bolts. mean (6 + k + 4,) and information (same, square) are the Gaussian prior; sizes' part is about log size over
-    nominal.
+    glyph_class (n,) gives each glyph's class or -1 for none; sizes: class heights (k,), then width, height, pitch.
+    mean (6 + k + 3,) and information (same, square) are the Gaussian prior; sizes' part is about log size over nominal.
     """
 
     class_height_m: Floats
     width_m: float
     height_m: float
     pitch_m: float
-    bolts_m: float
     glyph_class: Ints
     glyph_jitter: float
     pitch_jitter_m: float
-    bolt_jitter_m: float  # of the distance between two
     mean: Floats
     information: Floats
     frame_bias: Floats
@@ -156,10 +153,10 @@ class _Problem:
         return found
 
     def residuals(self, x: Floats) -> Floats:
-        """Residuals in sigmas for a batch (b, p) -> (b, m): corners (x, y each) or sides, glyph heights, pitches, bolts."""
+        """Residuals in sigmas for a batch (b, p) -> (b, m): corners (x, y each) or sides, glyph heights, pitches."""
         n, k = len(x), self.k
         right, down, away = axes(x[:, :3])
-        size = np.exp(x[:, LOG_D:])  # distance, classes, width, height, pitch, bolts
+        size = np.exp(x[:, LOG_D:])  # distance, classes, width, height, pitch
         distance = size[:, :1]
         centre = np.ones((n, 3))
         centre[:, :2] = x[:, U : V + 1]
@@ -180,9 +177,6 @@ class _Problem:
             depth, place = on_plane(centres, lift, right, away)
             spread = np.sqrt(np.sum(weights**2 * (depth[0] ** 2 * sigma**2 / 2 + self.m.pitch_jitter_m**2)))
             parts.append(((place @ weights - pitch) / spread)[:, None])
-        if len(self.f.bolts):
-            apart, spread = bolts_apart_m(self.f, self.m, lift, right, away)
-            parts.append((apart - self.m.bolts_m * size[:, k + 4 : k + 5]) / spread)
         return np.concatenate(parts, axis=1)
 
     def linearise(self, x: Floats) -> _State | None:
@@ -231,7 +225,7 @@ class _Problem:
             return None
         inverse = np.linalg.inv(state.normal)
         # Residuals larger than stated (blur, bad edges) widen the noise (Birge's ratio); smaller ones narrow nothing.
-        count = 2 * len(self.corner) + len(self.glyph) + len(self.runs) + len(self.f.bolts)
+        count = 2 * len(self.corner) + len(self.glyph) + len(self.runs)
         strain = state.cost / max(count, 1)
         excess = max(1.0, (state.cost + _PRIOR_DOF) / (count + _PRIOR_DOF))
         noise = inverse @ state.data @ inverse * excess
@@ -267,14 +261,6 @@ def on_plane(points: Floats, lift: Floats, right: Floats, away: Floats) -> tuple
     """Depths (b, n) of image points (n, 2) on planes of offset lift (b, 1), and where along right they lie there; metres."""
     depth = lift / (away[:, :2] @ points.T + away[:, 2:])
     return depth, depth * (right[:, :2] @ points.T + right[:, 2:])
-
-
-def bolts_apart_m(features: Features, model: Model, lift: Floats, right: Floats, away: Floats) -> tuple[Floats, Floats]:
-    """Distance of each pair of bolts (b, m) on planes as in on_plane, and one sigma of it (m,) at the first."""
-    depth, place = on_plane(features.bolts.reshape(-1, 2), lift, right, away)
-    pairs = place.reshape(len(place), -1, 2)
-    sigma = np.sqrt(2 * (depth[0, ::2] * features.bolts_sigma) ** 2 + model.bolt_jitter_m**2)
-    return pairs[:, :, 1] - pairs[:, :, 0], sigma
 
 
 def corners_of(model: Model, x: Floats, right: Floats, down: Floats) -> Floats:

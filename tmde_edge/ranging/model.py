@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from tmde_edge.geometry.planar import poses_of_rays, rectangle_mm
 from tmde_edge.plates.standard import PlateStandard
+from tmde_edge.ranging.bolts import BoltSize
 from tmde_edge.ranging.features import Features, clusters
 from tmde_edge.ranging.fit import AFTER_CLASSES, LEAN, LOG_D, POSE, ROLL, YAW, Model, U, V
 from tmde_edge.ranging.scale_memory import Sizes, TrackScale
@@ -18,12 +19,11 @@ from tmde_edge.ranging.settings import RangingSettings
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-# What is assumed where a standard says nothing: no information, but the track can learn it (of bolts it learns nothing).
+# What is assumed where a standard says nothing: no information, but the track can learn it.
 UNKNOWN_SIGMA = 0.25
 UNKNOWN_GLYPH_OF_HEIGHT = (0.66, 0.36)  # of plates with one row, with two
 UNKNOWN_PITCH_OF_GLYPH = 0.70  # of the standards that state both: mean 0.69, scatter 15 %
 UNKNOWN_PITCH_SIGMA = 0.20
-UNKNOWN_BOLTS_OF_WIDTH = 0.58
 UNKNOWN_OUTLINE_MM = (520.0, 111.0)
 
 _CLASS_SIGMA = 0.06  # a glyph's log height about its class, when classes are told apart
@@ -38,7 +38,6 @@ _LOW_PX, _LOW_HEIGHT_SIGMA, _MELTED_PITCH = 6.0, 0.12, 0.04
 _LOW_TOGETHER = 0.8  # correlation of that error of the plate's height with the characters' (stills of 17 to 24 px: 0.64 to 0.80)
 # Of the width of a plate that low between two blue bands: on a dark or blue body one is left out, or too much taken in.
 _BANDS_SIGMA = 0.04
-_BOLT_BIAS_PX = 0.1  # error of the distance between two bolts that all rows share, one sigma
 _MOST_SIGMA = 0.5
 _MISSED_PITCH = 0.15  # fewer characters than any plate of the standard has: the spacing spans some that were missed
 _TALL_MISSING = 2.0  # cost of having seen small characters only
@@ -46,18 +45,18 @@ _TALL_MISSING = 2.0  # cost of having seen small characters only
 
 @dataclass(frozen=True, slots=True)
 class Expectation:
-    """A standard's sizes as means and one-sigma logs, in metres: classes first, then width, height, pitch, bolts' spacing."""
+    """A standard's sizes as means and one-sigma logs, in metres: classes first, then width, height, pitch."""
 
     id: str  # the standard's, or that of one kind of its plates
     standard: PlateStandard
     keys: tuple[str, ...]
     share: Floats  # (k,) of the characters that belong to each class
-    size_m: Floats  # (k + 4,)
+    size_m: Floats  # (k + 3,)
     sizes: Sizes  # prior about log(true or visible size / size_m)
     has_outline: bool
     has_glyph: bool
     has_pitch: bool
-    has_bolts: bool
+    bolts: BoltSize | None
     weight: float = 1.0  # how common this kind of width is
 
     @property
@@ -113,19 +112,19 @@ def _expectation(
         outline_sizes = [(m, float(np.hypot(s, frame))) for (m, s), frame in zip(outline, seen, strict=True)]
     guess = UNKNOWN_PITCH_OF_GLYPH * heights[0][0]
     pitch = standard.pitch_belief() or (guess, UNKNOWN_PITCH_SIGMA * guess)
-    guess = UNKNOWN_BOLTS_OF_WIDTH * outline_sizes[0][0]
-    bolts = (guess, UNKNOWN_SIGMA * guess)
+    bolts = None
     if standard.hole_spacing is not None:
         spacing, sigma = standard.hole_spacing.belief("hole")
-        bolts = (spacing, float(np.hypot(sigma, 2**0.5 * settings.bolt_sigma_mm)))
-    every = np.array([*heights, *outline_sizes, pitch, bolts])
+        play = float(np.hypot(sigma, 2**0.5 * settings.bolt_sigma_mm))
+        bolts = BoltSize(spacing / 1000, play / spacing, settings.bolt_jitter_mm / 1000)
+    every = np.array([*heights, *outline_sizes, pitch])
     relative = every[:, 1] / every[:, 0]
     members = np.array([counts[k] for k in distinct], dtype=np.float64)
     return Expectation(
         id=standard.id, standard=standard, keys=tuple(distinct),
         share=members / max(float(members.sum()), 1.0), size_m=every[:, 0] / 1000,
         has_outline=outline is not None, has_glyph=has_glyph, has_pitch=standard.pitch_belief() is not None,
-        has_bolts=standard.hole_spacing is not None,
+        bolts=bolts,
         sizes=Sizes(np.zeros(len(every)), np.diag(relative**2)),
     )
 
@@ -164,9 +163,6 @@ def size_bias(expected: Expectation, features: Features, settings: RangingSettin
         melted = _MELTED_PITCH * (_LOW_PX / max(typical * features.focal_px, 1.0)) ** 2
         missed = _MISSED_PITCH if len(features.heights) < min(expected.standard.char_counts) else 0.0
         own[k + 2] += melted**2 + missed**2
-    if len(features.bolts):
-        apart = features.bolts[:, 1] - features.bolts[:, 0]
-        own[k + 3] += (_BOLT_BIAS_PX / (features.focal_px * float(np.median(np.hypot(apart[:, 0], apart[:, 1]))))) ** 2
     return np.asarray(np.outer(shared, shared) + np.diag(np.minimum(own, _MOST_SIGMA**2)), dtype=np.float64)
 
 
@@ -241,9 +237,9 @@ def build_model(expected: Expectation, features: Features, known: Sizes, bias: F
     mean[POSE:] = known.mean
     return Model(
         class_height_m=expected.size_m[:k], width_m=float(expected.size_m[k]), height_m=float(expected.size_m[k + 1]),
-        pitch_m=float(expected.size_m[k + 2]), bolts_m=float(expected.size_m[k + 3]), glyph_class=glyph_class,
+        pitch_m=float(expected.size_m[k + 2]), glyph_class=glyph_class,
         glyph_jitter=settings.glyph_jitter, pitch_jitter_m=settings.pitch_jitter_mm / 1000,
-        bolt_jitter_m=2**0.5 * settings.bolt_jitter_mm / 1000, mean=mean, information=information, frame_bias=bias,
+        mean=mean, information=information, frame_bias=bias,
         tail_sigma=np.concatenate([sigma, np.sqrt(blurred.diagonal())]), tail_c=tail_c,
     )
 

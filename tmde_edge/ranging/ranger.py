@@ -16,8 +16,8 @@ from tmde_edge.geometry.pinhole import Camera
 from tmde_edge.messages import CueRange, PlateSighting, RangeMeasurement
 from tmde_edge.plates.standard import PlateStandard
 from tmde_edge.ranging import cues, fuse
-from tmde_edge.ranging.bolts import BoltsSay, Judged, believed, judge, without_bolts
-from tmde_edge.ranging.classify import StandardClass, classes, layout_log_likelihood, shape_log_likelihood
+from tmde_edge.ranging.bolts import BoltsSay, Judged, believed, judge
+from tmde_edge.ranging.classify import StandardClass, classes, layout_log_likelihood, print_log_likelihood, shape_log_likelihood
 from tmde_edge.ranging.contradiction import scale_factor
 from tmde_edge.ranging.features import Features, clusters, gather
 from tmde_edge.ranging.fit import LEAN, LOG_D, POSE, ROLL, YAW, Fit, Model, U, V, solve
@@ -58,10 +58,11 @@ class _Answer:
 
 @dataclass(frozen=True, slots=True)
 class _Score:
-    """Log belief before a fit, and the part that the layout alone adds in every frame."""
+    """Log belief before a fit, the part that the layout alone adds in every frame, and the part that print adds once."""
 
     belief: float
     layout: float
+    printed: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,16 +101,17 @@ class Ranger:
         reason = self._too_little(features, plate)
         if reason:
             return None, empty, reason
-        scores = self._scores(plate, features, known)
+        said = print_log_likelihood(self._classes.values(), plate) if len(self._classes) > 1 else {}
+        scores = self._scores(plate, features, known, said)
         answers = self._fit_all(features, known, t_ns, scores)
         if answers and known is not None and known.misfits + 1 >= _MISFITS_TO_RESET and self._misfit(answers):
-            anew = self._scores(plate, features, None)
+            anew = self._scores(plate, features, None, said)
             fresh = self._fit_all(features, None, t_ns, anew)
             if fresh and not self._misfit(fresh):  # else it is the outline that is wrong, not the memory
                 known, scores, answers = None, anew, fresh
         if not answers:
             return None, empty, "no planar pose fits what was seen"
-        evidence = self._evidence(answers, known, scores, _size_px(features))
+        evidence = self._evidence(answers, known, scores, _size_px(features)).with_print(said)
         belief = evidence.log_belief()
         parts = _hypotheses(answers, belief, known)
         after = self._remember(answers, evidence, belief, parts, known, plate, t_ns)
@@ -147,14 +149,16 @@ class Ranger:
         answers = (self._fit(self._classes[k], features, known, t_ns, scores[k].layout) for k in chosen)
         return [a for a in answers if a is not None]
 
-    def _scores(self, plate: PlateSighting, features: Features, known: TrackScale | None) -> dict[str, _Score]:
-        """Belief before this frame's fits; a new plate's comes from a cheap look at its shape."""
+    def _scores(self, plate: PlateSighting, features: Features, known: TrackScale | None,
+                said: dict[str, dict[str, float]]) -> dict[str, _Score]:
+        """Belief before this frame's fits; a new plate's comes from a cheap look at its shape and its print."""
         layout = {k: layout_log_likelihood(c, plate, features) for k, c in self._classes.items()}
         believed = known.evidence.log_belief() if known is not None else {}
         if believed:
-            return {k: _Score(v, layout[k]) for k, v in believed.items()}
+            return {k: _Score(v, layout[k], 0.0) for k, v in believed.items()}
+        printed = {k: sum(values[k] for values in said.values()) for k in self._classes}
         return {
-            k: _Score(self._log_prior[k] + layout[k] + shape_log_likelihood(c, features), layout[k])
+            k: _Score(self._log_prior[k] + layout[k] + printed[k] + shape_log_likelihood(c, features), layout[k], printed[k])
             for k, c in self._classes.items()
         }
 
@@ -169,12 +173,11 @@ class Ranger:
         sizes = learned or expected.sizes
         bias = size_bias(expected, features, self.settings)
         model = build_model(expected, features, sizes, bias, glyph_class, distance, self.settings)
-        rest = without_bolts(features)
-        fits = _solutions(rest, model, starts(expected, features, model, known))
+        fits = _solutions(features, model, starts(expected, features, model, known))
         if not fits:
             return None
-        say = known.bolts.get(group.id, BoltsSay()) if known is not None else BoltsSay()
-        judged = judge(features, model, fits[0]) if expected.has_bolts and len(features.bolts) else None
+        say = known.bolts.get(group.id, BoltsSay()) if known is not None and self.settings.memory else BoltsSay()
+        judged = judge(features, expected.bolts, fits[0]) if expected.bolts is not None and len(features.bolts) else None
         if judged is not None:
             say = say.with_frame(judged.shift, judged.factor)
         first, torn = fits[0], scale_factor(features, model, fits[0])
@@ -197,9 +200,10 @@ class Ranger:
         fitted = {a.group.id: a.evidence for a in answers}
         if known is None or not known.evidence.looks:
             # The cheap look and the fit measure the same thing but for a constant: take it from the best fit.
-            total = {k: self._log_prior[k] + e for k, e in fitted.items()}
+            total = {k: self._log_prior[k] + e + scores[k].printed for k, e in fitted.items()}
             best = max(total, key=lambda k: total[k])
-            rest = {k: s.belief + min(total[best] - scores[best].belief, 0.0) for k, s in scores.items() if k not in fitted}
+            less = min(total[best] - scores[best].belief, 0.0)
+            rest = {k: s.belief - s.printed + less for k, s in scores.items() if k not in fitted}
             gained = {k: e - fitted[best] for k, e in fitted.items()}
             before = Evidence({k: v - fitted[best] for k, v in rest.items()}, {})
         else:

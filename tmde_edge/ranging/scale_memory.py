@@ -7,7 +7,7 @@ height of a character against the plate's height); the overall scale stays as un
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ LOOK_STEP = 0.15  # log size: by so much grown, a plate's edges fall anew into t
 
 @dataclass(frozen=True, slots=True)
 class Sizes:
-    """Mean (m,) and covariance (m, m) of log(true size / nominal): glyph classes, plate width, height, pitch, bolts' spacing."""
+    """Mean (m,) and covariance (m, m) of log(true size / nominal): glyph classes, plate width, height, pitch."""
 
     mean: Floats
     covariance: Floats
@@ -33,28 +33,34 @@ class Evidence:
 
     A plate that stays as large as it is in the image shows the same errors again and again: a thousand frames of it are one look.
     What it shows at another size is another look. looks: mean log evidence and number of frames, by size and standard.
+    What is printed on it stays the same at all sizes. printed: the same by kind (colours, groups of characters) and standard.
     """
 
     prior: dict[str, float] = field(default_factory=dict)
     looks: dict[int, dict[str, tuple[float, int]]] = field(default_factory=dict)
+    printed: dict[str, dict[str, tuple[float, int]]] = field(default_factory=dict)
 
     def with_frame(self, size_px: float, gained: dict[str, float], prior: dict[str, float]) -> Evidence:
         """After one more frame; `prior`: of standards that are looked at for the first time."""
         known = {k for look in self.looks.values() for k in look}
         place = int(math.log(max(size_px, 1.0)) // LOOK_STEP)
-        look = dict(self.looks.get(place, {}))
-        for k, value in gained.items():
-            mean, frames = look.get(k, (0.0, 0))
-            look[k] = mean + (value - mean) / (frames + 1), frames + 1
         fresh = {k: prior[k] for k in gained if k not in known}
-        return Evidence({**self.prior, **fresh}, {**self.looks, place: look})
+        return replace(
+            self, prior={**self.prior, **fresh}, looks={**self.looks, place: _with_values(self.looks.get(place, {}), gained)}
+        )
+
+    def with_print(self, said: dict[str, dict[str, float]]) -> Evidence:
+        """After one more frame's print, by kind and standard."""
+        new = {kind: _with_values(self.printed.get(kind, {}), values) for kind, values in said.items()}
+        return replace(self, printed={**self.printed, **new})
 
     def log_belief(self) -> dict[str, float]:
         """Log probabilities of the standards; {} before the first frame."""
         total = dict(self.prior)
-        for look in self.looks.values():
+        for look in (*self.looks.values(), *self.printed.values()):
             for k, (mean, _) in look.items():
-                total[k] += mean
+                if k in total:
+                    total[k] += mean
         return normalised(total) if total else {}
 
 
@@ -75,6 +81,15 @@ class TrackScale:
     frames: int = 0
     bolts: dict[str, BoltsSay] = field(default_factory=dict)  # what bolts change, by standard
     misfits: int = 0  # frames in a row that contradict what was learned
+
+
+def _with_values(means: dict[str, tuple[float, int]], values: dict[str, float]) -> dict[str, tuple[float, int]]:
+    """Running means and their numbers of frames after one more of some."""
+    new = dict(means)
+    for k, value in values.items():
+        mean, frames = new.get(k, (0.0, 0))
+        new[k] = mean + (value - mean) / (frames + 1), frames + 1
+    return new
 
 
 def learn(known: Sizes, bias: Floats, fitted_mean: Floats, fitted_covariance: Floats, share: float) -> Sizes:

@@ -8,6 +8,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from tmde_edge.messages import PlateColours
+
 Image = NDArray[np.uint8]  # (h, w) grey or (h, w, 3) BGR
 
 
@@ -63,6 +65,7 @@ class PlateReading:
     blur_px: float | None = None
     side_sigma_px: tuple[float, ...] = ()  # of the top, right, bottom and left line, where they are known one by one
     bolts: tuple[BoltPair, ...] = ()
+    colours: PlateColours | None = None
 
 
 class PlateFinder(Protocol):

@@ -51,6 +51,7 @@ def plate_sighting(
         bolts=tuple(
             BoltSighting(left_px=_point(b.left_px), right_px=_point(b.right_px), sigma_px=b.sigma_px) for b in reading.bolts
         ),
+        colours=reading.colours,
     )  # fmt: skip
 
 
@@ -96,7 +97,7 @@ def without_ink(reading: PlateReading, corners_px: Array, sigma_px: float) -> Pl
     """A reading of which only the place is left, as given."""
     return replace(
         reading, corners_px=corners_px, corners_sigma_px=sigma_px, refined=False, characters=(), stroke_px=None,
-        border_px=None, blur_px=None, side_sigma_px=(), bolts=(),
+        border_px=None, blur_px=None, side_sigma_px=(), bolts=(), colours=None,
     )  # fmt: skip
 
 

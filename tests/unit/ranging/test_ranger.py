@@ -474,3 +474,15 @@ def test_standards_with_and_without_bolts_are_two_classes() -> None:
     twin = replace_struct(STANDARDS["us-aamva3"], id="twin", hole_spacing=None)
     assert len(classes([STANDARDS["us-aamva3"], twin], JOINT)) == 2
     assert len(classes([STANDARDS["us-aamva3"], replace_struct(STANDARDS["us-aamva3"], id="twin")], JOINT)) == 1
+
+
+def test_without_memory_every_frame_stands_for_itself() -> None:
+    """Bolts of an earlier frame say nothing, nor do sizes."""
+    r = Ranger(RangingSettings(memory=False), select(["us-aamva3"]))
+    bolted = _with_bolts(4.0, width_mm=304.8 * 1.03)
+    plain = replace(bolted, bolts=())
+    alone = ranged(r, plain)
+    _, state, _ = r.measure(bolted, CAMERA, AHEAD, 0)
+    after, _, _ = r.measure(plain, CAMERA, AHEAD, 33_000_000, state)
+    assert after is not None
+    assert after.distance_m == pytest.approx(alone.distance_m, rel=1e-4)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from tmde_edge.vision.bands import with_bands
 from tmde_edge.vision.ground_colour import plate_picture
+from tmde_edge.vision.plate_colours import plate_colours
 from tmde_edge.vision.protocols import CharacterBox, Image, PlateCandidate, PlateReading
 from tmde_edge.vision.rectify import apply_homography, is_convex, size_px, steadied
 from tmde_edge.vision.refine import OutlineFit, refine_outline
@@ -122,6 +123,7 @@ class GlyphReader:
             border_px=None if border is None else border / view.per_px,
             blur_px=fit.blur_px,
             bolts=() if hurried else find_bolts(view, edges, self._bolts),
+            colours=None if hurried else plate_colours(image, fit.corners_px, reading.light_on_dark),
         )
 
     def _outline(self, picture: Image, image: Image, given: OutlineFit, light_on_dark: bool) -> OutlineFit:
