@@ -54,6 +54,7 @@ class Features:
     char_height: float | None
     bolts: Floats  # (m, 2, 2) left and right bolt of each row in which they are seen
     bolts_sigma: Floats  # (m,) of either's place
+    one_band: bool  # a blue band is seen at one end only
     heights: Floats = field(init=False)  # (n,) top to bottom of every glyph, normalised
     width: float | None = field(init=False)  # mean length of upper and lower edge, normalised, of those with valid ends
     height: float | None = field(init=False)  # the same of the left and right edge
@@ -141,6 +142,7 @@ def gather(plate: PlateSighting, camera: Camera, view_from_vehicle: Floats) -> F
         spacing=_norm(plate.spacing_px, focal), border=_norm(plate.border_px, focal),
         char_height=_norm(plate.char_height_px, focal),
         bolts=rays[4 + 4 * n :].reshape(-1, 2, 2), bolts_sigma=np.array([max(b.sigma_px, 0.02) / focal for b in bolts]),
+        one_band=plate.colours is not None and (plate.colours.left_band is True) != (plate.colours.right_band is True),
     )
 
 

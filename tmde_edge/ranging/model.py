@@ -38,6 +38,8 @@ _LOW_PX, _LOW_HEIGHT_SIGMA, _MELTED_PITCH = 6.0, 0.12, 0.04
 _LOW_TOGETHER = 0.8  # correlation of that error of the plate's height with the characters' (stills of 17 to 24 px: 0.64 to 0.80)
 # Of the width of a plate that low between two blue bands: on a dark or blue body one is left out, or too much taken in.
 _BANDS_SIGMA = 0.04
+# Of a width with one band inside where the standard has two: the other was left out, for beside a blue body it does not show.
+_BAND_LEFT_OUT = 0.08
 _MOST_SIGMA = 0.5
 _MISSED_PITCH = 0.15  # fewer characters than any plate of the standard has: the spacing spans some that were missed
 _TALL_MISSING = 2.0  # cost of having seen small characters only
@@ -155,7 +157,7 @@ def size_bias(expected: Expectation, features: Features, settings: RangingSettin
     if height is not None:
         lowness = (_LOW_PX / max(height * features.focal_px, 1.0)) ** 2
         if expected.standard.band == "both":
-            own[k] += (_BANDS_SIGMA * min(lowness, 1.0)) ** 2
+            own[k] += (_BAND_LEFT_OUT if features.one_band else _BANDS_SIGMA * min(lowness, 1.0)) ** 2
         low = min(_LOW_HEIGHT_SIGMA * lowness, _MOST_SIGMA)
         shared[k + 1] = _LOW_TOGETHER * low
         own[k + 1] += (1 - _LOW_TOGETHER**2) * low**2

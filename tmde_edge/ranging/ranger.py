@@ -95,8 +95,10 @@ class Ranger:
         `state` is what the last call returned for this track; None for a still or a new track. A memory of another
         track is ignored.
         """
-        features = gather(plate, camera, np.asarray(view_from_vehicle, dtype=np.float64))
         known = state if state is not None and state.track_id == plate.track_id else None
+        if plate.colours is None and known is not None:  # they are looked at in frames that have the time
+            plate = replace(plate, colours=known.colours)
+        features = gather(plate, camera, np.asarray(view_from_vehicle, dtype=np.float64))
         empty = known or TrackScale(track_id=plate.track_id, t_ns=t_ns)
         reason = self._too_little(features, plate)
         if reason:
@@ -235,7 +237,7 @@ class Ranger:
             track_id=plate.track_id, t_ns=t_ns, evidence=evidence, log_offsets=offsets, sizes=sizes,
             yaw_rad=float(best.fit.x[YAW]), yaw_sigma_rad=best.yaw_sigma_rad, lean_rad=float(best.fit.x[LEAN]),
             lean_sigma_rad=float(best.fit.covariance[LEAN, LEAN] ** 0.5), roll_rad=float(best.fit.x[ROLL]),
-            frames=(known.frames if known is not None else 0) + 1, misfits=misfits, bolts=bolts,
+            frames=(known.frames if known is not None else 0) + 1, misfits=misfits, bolts=bolts, colours=plate.colours,
         )
 
     def _result(self, plate: PlateSighting, camera: Camera, features: Features, answers: list[_Answer],

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tmde_edge.messages import PlateColours
 from tmde_edge.ranging.bolts import BoltsSay
 
 Floats = NDArray[np.float64]
@@ -80,6 +81,7 @@ class TrackScale:
     roll_rad: float = 0.0
     frames: int = 0
     bolts: dict[str, BoltsSay] = field(default_factory=dict)  # what bolts change, by standard
+    colours: PlateColours | None = None  # as last seen
     misfits: int = 0  # frames in a row that contradict what was learned
 
 

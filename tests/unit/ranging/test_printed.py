@@ -82,6 +82,29 @@ def test_a_track_counts_print_once() -> None:
     assert len(state.evidence.looks) >= 6
     assert set(state.evidence.printed) == {"colours", "groups"}
     mean, frames = state.evidence.printed["colours"]["kr-film"]
-    assert frames == 14
+    assert frames == 40  # those without colours repeat the last ones
     assert mean == pytest.approx(print_log_likelihoods(STANDARDS["kr-film"], PlateColours(ground="yellow"), 8, None)["colours"])
     assert beliefs[-1] > np.log(0.9)
+
+
+def test_a_second_band_that_was_left_out_costs_the_width_its_say() -> None:
+    """A French plate on a blue body: the right band was taken for the body, the outline is 8 % too narrow."""
+    ranger = Ranger(RangingSettings(), select(["fr-1"]))
+    plate = sighting(STANDARDS["fr-1"], distance_m=8.0, corner_sigma=0.3, glyph_sigma=0.15, width_mm=480.0)
+    looks = (PlateColours(ground="white", left_band=True, right_band=right) for right in (True, False))
+    both, one = (ranger.measure(replace(plate, colours=look), CAMERA, AHEAD, 0)[0] for look in looks)
+    assert both is not None
+    assert one is not None
+    assert abs(one.distance_m - 8.0) < 0.5 * abs(both.distance_m - 8.0)
+    assert abs(one.distance_m - 8.0) < 2 * one.sigma_m
+
+
+def test_colours_of_an_earlier_frame_count_where_a_hurried_one_has_none() -> None:
+    ranger = Ranger(RangingSettings(), select(["fr-1"]))
+    plate = sighting(STANDARDS["fr-1"], distance_m=8.0, corner_sigma=0.3, glyph_sigma=0.15, width_mm=480.0)
+    looked = replace(plate, colours=PlateColours(ground="white", left_band=True, right_band=False))
+    first, state, _ = ranger.measure(looked, CAMERA, AHEAD, 0)
+    second, _, _ = ranger.measure(plate, CAMERA, AHEAD, 33_000_000, state)
+    assert first is not None
+    assert second is not None
+    assert second.distance_m == pytest.approx(first.distance_m, rel=1e-2)
