@@ -115,6 +115,7 @@ class PlatesConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """The `[plates]` table."""
 
     expect: list[str] = msgspec.field(default_factory=lambda: ["auto"])  # ids of standards or countries; ["auto"]: among all
+    region: list[str] = []  # where you drive, countries or continents: ["de"], ["europe"]; []: not known
 
 
 class RecordConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -25,7 +25,7 @@ from tmde_edge.app.wiring import build_eyes, estimation_of_log
 from tmde_edge.config import Config, from_tree, merged, read_tree
 from tmde_edge.errors import InputDataError, InputMissingError, TmdeError, UsageError, writing
 from tmde_edge.messages import FrameResult, Pose, Sighting
-from tmde_edge.plates.standard import select
+from tmde_edge.plates.region import expected
 from tmde_edge.ranging.ranger import Ranger
 
 COLUMNS = (
@@ -179,7 +179,7 @@ def _stills(item: Item, config: Candidate) -> list[Row]:
     loaded = _config(item, config, read_tree(own, ()) if own.exists() else {})
     c = loaded.camera
     eyes = build_eyes(loaded, time.perf_counter_ns)
-    ranger = Ranger(loaded.ranging, select(loaded.plates.expect))
+    ranger = Ranger(loaded.ranging, expected(loaded.plates.expect, loaded.plates.region))
     pose = Pose(pitch_rad=c.pitch_rad, roll_rad=c.roll_rad, yaw_rad=c.yaw_rad)
     missing = [n for n in item.images if not (item.path / n).exists()]
     if missing:

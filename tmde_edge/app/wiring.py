@@ -35,6 +35,7 @@ from tmde_edge.config import Config, from_tree, merged, to_tree
 from tmde_edge.errors import ConfigError, InputDataError
 from tmde_edge.estimation import Estimation, Parts
 from tmde_edge.messages import LaneSighting, Point, Pose
+from tmde_edge.plates.region import expected
 from tmde_edge.plates.standard import bolt_places, line_share, select
 from tmde_edge.pose.attitude import AttitudeEstimator
 from tmde_edge.pose.edges import Image
@@ -79,9 +80,9 @@ def build_eyes(config: Config, clock_ns: Callable[[], int]) -> Eyes:
         from tmde_edge.vision.segment.bolts import BoltPlaces
         from tmde_edge.vision.segment.glyph_reader import GlyphReader
 
-        expected = select(config.plates.expect)
-        places = [BoltPlaces(spacing=spacing, aspect=aspect) for spacing, aspect in bolt_places(expected)]
-        reader = GlyphReader(GlyphNet(threads=count), config.segmenter, line_share(expected), places)
+        standards = expected(config.plates.expect, config.plates.region)
+        places = [BoltPlaces(spacing=spacing, aspect=aspect) for spacing, aspect in bolt_places(standards)]
+        reader = GlyphReader(GlyphNet(threads=count), config.segmenter, line_share(standards), places)
     perception = Perception(
         search=search, reader=reader, detector=d, segmenter=config.segmenter, flow=config.flow, clock_ns=clock_ns
     )
@@ -116,7 +117,7 @@ def build_estimation(config: Config, base_dir: Path, resting: RestingPose | None
             camera=camera,
             to_bumper_m=config.camera.to_bumper_m,
             camera_height_m=config.camera.height_m,
-            ranger=Ranger(config.ranging, select(config.plates.expect)),
+            ranger=Ranger(config.ranging, expected(config.plates.expect, config.plates.region)),
             attitude=build_attitude(config, resting),
             depth=DepthAligner(config.depth, config.camera.height_m) if config.depth.kind != "none" else None,
             tracker=config.tracker,
@@ -174,7 +175,7 @@ def measure_with(config: Config, paths: Sequence[Path]) -> Iterator[Record]:
     c = config.camera
     eyes = build_eyes(config, time.perf_counter_ns)
     pose = Pose(pitch_rad=c.pitch_rad, roll_rad=c.roll_rad, yaw_rad=c.yaw_rad)
-    ranger = Ranger(config.ranging, select(config.plates.expect))
+    ranger = Ranger(config.ranging, expected(config.plates.expect, config.plates.region))
     for record, _, _ in measure_images(paths, eyes, c.camera(), ranger, pose, config.tracker.path_half_width_m):
         yield record
 

@@ -9,6 +9,7 @@ from plate_scenes import AHEAD, CAMERA, sighting
 
 from tmde_edge.geometry.pinhole import Camera, view_from_vehicle
 from tmde_edge.messages import BoltSighting, GlyphSighting, PlateSighting, RangeMeasurement
+from tmde_edge.plates.region import expected
 from tmde_edge.plates.standard import load_standards, select
 from tmde_edge.ranging.budget import ideal_sighting
 from tmde_edge.ranging.classify import classes
@@ -486,3 +487,13 @@ def test_without_memory_every_frame_stands_for_itself() -> None:
     after, _, _ = r.measure(plain, CAMERA, AHEAD, 33_000_000, state)
     assert after is not None
     assert after.distance_m == pytest.approx(alone.distance_m, rel=1e-4)
+
+
+def test_the_region_decides_what_the_picture_leaves_open() -> None:
+    """Two-row plates of Poland and France differ by 10 % in size and by 3 % in shape."""
+    plate = sighting(STANDARDS["pl-2"], distance_m=14.0, rng=np.random.default_rng(1), corner_sigma=0.8, glyph_sigma=0.4)
+    told = []
+    for region in ("pl", "fr"):
+        measured = ranged(Ranger(JOINT, expected(["pl-2", "fr-2"], [region])), plate)
+        told.append(measured.belief if measured.standard == "pl-2" else 1 - measured.belief)
+    assert told[0] > told[1] + 0.2
