@@ -18,7 +18,7 @@ Corners: TypeAlias = tuple[Point, Point, Point, Point]
 CoursePoint: TypeAlias = tuple[float, float, float]  # x, y and the sigma of x
 AlertLevel: TypeAlias = Literal["none", "caution", "warning"]
 Mode: TypeAlias = Literal["strict", "permissive"]
-Ground: TypeAlias = Literal["white", "yellow", "green", "blue"]  # white: and grey
+Ground: TypeAlias = Literal["white", "yellow", "green", "blue"]  # "white" is grey too
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

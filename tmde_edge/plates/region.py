@@ -17,6 +17,7 @@ CONTINENTS: dict[str, tuple[str, ...]] = {
     "oceania": ("AU",),
     "south-america": ("BR", "CO"),
 }
+ALIASES = {"eu": "europe", "uk": "gb", "usa": "us"}
 # Plates of the same continent, and of others, against those of the region itself: cautious guesses, for strangers do come.
 NEIGHBOUR, ELSEWHERE = 0.1, 0.01
 
@@ -34,15 +35,17 @@ def expected(expect: Sequence[str], region: Sequence[str] = ()) -> tuple[PlateSt
     near: set[str] = set()
     for name in region:
         key = name.strip().lower()
+        key = ALIASES.get(key, key)
         if key in CONTINENTS:
             countries |= set(CONTINENTS[key])
         elif key.upper() in known:
-            countries.add(key.upper())
+            countries |= {key.upper(), *(("EU",) if key.upper() in CONTINENTS["europe"] else ())}  # EU: of any country
             near |= {c for group in CONTINENTS.values() if key.upper() in group for c in group}
         else:
-            names = sorted({*CONTINENTS, *(c.lower() for c in known)})
-            guess = difflib.get_close_matches(key, names, n=1, cutoff=0.4)
-            hint = f"did you mean {guess[0]!r}?" if guess else f"one of {', '.join(names)}"
+            names = sorted(c.lower() for c in known if c != "EU")
+            guess = difflib.get_close_matches(key, CONTINENTS, n=1, cutoff=0.6)
+            hint = f"known are {', '.join(names)}; elsewhere name the continent: {', '.join(CONTINENTS)}"
+            hint = f"did you mean {guess[0]!r}?" if guess else hint
             raise ConfigError(f"plates.region: unknown country or continent {name!r}; {hint}")
 
     def factor(standard: PlateStandard) -> float:

@@ -105,9 +105,10 @@ class PlateStandard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     margin_tb: Size | None = None  # clear above and below the characters
     hole_spacing: Size | None = None
     background: str = "white"
-    other_backgrounds: tuple[str, ...] = ()  # that occur too: front plates, taxis, states
+    other_backgrounds: dict[str, float] = {}  # those of front plates, taxis, states, each with its share of all plates
     ink: str = "black"
     band: Literal["", "left", "right", "both", "top"] = ""  # a coloured band without characters
+    optional_band: Literal["", "left"] = ""  # that some of its plates have
     font: str = ""
     groups: tuple[str, ...] = ()
     weight: float = 1.0
@@ -269,6 +270,8 @@ def _fault(standard: PlateStandard) -> str:
     for ground in (standard.background, *standard.other_backgrounds):
         if ground not in BACKGROUNDS:
             return f"background {ground!r} is none of {', '.join(BACKGROUNDS)}"
+    if any(v <= 0 for v in standard.other_backgrounds.values()) or sum(standard.other_backgrounds.values()) >= 1:
+        return f"other_backgrounds {standard.other_backgrounds}: shares must be positive and leave some for the usual ground"
     if standard.weight <= 0:
         return "weight must be positive"
     for path, size in sizes(standard):

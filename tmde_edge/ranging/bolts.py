@@ -81,6 +81,8 @@ def judge(features: Features, bolts: BoltSize, fit: Fit) -> Judged:
     kept = np.eye(len(fit.x))[LOG_D] - slope @ gain
     p, apart, before = float(chances[chosen].mean()), -float(gain @ off[chosen]), float(fit.prior[LOG_D, LOG_D])
     after = float(kept @ fit.prior @ kept) + shared * float(gain.sum()) ** 2
+    # Where bolts and fit contradict each other by more than they state, neither is as good as stated (Birge's ratio).
+    after *= max(1.0, float(off[chosen] @ np.linalg.solve(every[np.ix_(chosen, chosen)], off[chosen])) / len(chosen))
     mixed = (1 - p) * before + p * after + p * (1 - p) * apart**2
     # Rows hang on one distance: the mean of what they say, not its sum.
     return Judged(chances, p * apart, mixed / before, float(np.mean(np.log(true + PRINT))))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -11,7 +12,7 @@ from tmde_edge.messages import PlateSighting
 from tmde_edge.plates.standard import PlateStandard
 from tmde_edge.ranging.features import Features
 from tmde_edge.ranging.model import Expectation, expectations
-from tmde_edge.ranging.printed import group_count, print_log_likelihoods
+from tmde_edge.ranging.printed import group_count, log_chances
 from tmde_edge.ranging.settings import RangingSettings
 
 SAME_SIZE = 0.012  # relative: nearer standards are one class
@@ -62,18 +63,23 @@ def _same(a: Expectation, b: Expectation) -> bool:
         return False
     if len(a.standard.rows) != len(b.standard.rows):
         return False
+    if (a.standard.background, a.standard.band) != (b.standard.background, b.standard.band):
+        return False
     return bool(np.all(np.abs(np.log(a.size_m / b.size_m)) < SAME_SIZE))
 
 
-def print_log_likelihood(groups: Iterable[StandardClass], plate: PlateSighting) -> dict[str, dict[str, float]]:
-    """What colours, bands and groups of characters say of each class (printed.py), by kind; the best of a class's members."""
+def said_by_print(groups: Iterable[StandardClass], plate: PlateSighting) -> dict[str, dict[str, float]]:
+    """What ground, bands and groups of characters say of each class, by kind: log chances (printed.py), its members' mean."""
     apart, count = group_count(plate), len(plate.glyphs)
     said: dict[str, dict[str, float]] = {}
     for group in groups:
+        weight = sum(m.weight for m in group.members)
+        chances: dict[str, float] = {}
         for member in group.members:
-            for kind, value in print_log_likelihoods(member, plate.colours, count, apart).items():
-                of_kind = said.setdefault(kind, {})
-                of_kind[group.id] = max(value, of_kind.get(group.id, value))
+            for kind, value in log_chances(member, plate.colours, count, apart).items():
+                chances[kind] = chances.get(kind, 0.0) + member.weight / weight * math.exp(value)
+        for kind, chance in chances.items():
+            said.setdefault(kind, {})[group.id] = math.log(chance)
     return said
 
 

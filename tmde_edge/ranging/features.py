@@ -142,7 +142,7 @@ def gather(plate: PlateSighting, camera: Camera, view_from_vehicle: Floats) -> F
         spacing=_norm(plate.spacing_px, focal), border=_norm(plate.border_px, focal),
         char_height=_norm(plate.char_height_px, focal),
         bolts=rays[4 + 4 * n :].reshape(-1, 2, 2), bolts_sigma=np.array([max(b.sigma_px, 0.02) / focal for b in bolts]),
-        one_band=plate.colours is not None and (plate.colours.left_band is True) != (plate.colours.right_band is True),
+        one_band=plate.colours is not None and {plate.colours.left_band, plate.colours.right_band} == {True, False},
     )
 
 

@@ -17,7 +17,7 @@ from tmde_edge.messages import CueRange, PlateSighting, RangeMeasurement
 from tmde_edge.plates.standard import PlateStandard
 from tmde_edge.ranging import cues, fuse
 from tmde_edge.ranging.bolts import BoltsSay, Judged, believed, judge
-from tmde_edge.ranging.classify import StandardClass, classes, layout_log_likelihood, print_log_likelihood, shape_log_likelihood
+from tmde_edge.ranging.classify import StandardClass, classes, layout_log_likelihood, said_by_print, shape_log_likelihood
 from tmde_edge.ranging.contradiction import scale_factor
 from tmde_edge.ranging.features import Features, clusters, gather
 from tmde_edge.ranging.fit import LEAN, LOG_D, POSE, ROLL, YAW, Fit, Model, U, V, solve
@@ -95,22 +95,21 @@ class Ranger:
         `state` is what the last call returned for this track; None for a still or a new track. A memory of another
         track is ignored.
         """
+        view = np.asarray(view_from_vehicle, dtype=np.float64)
         known = state if state is not None and state.track_id == plate.track_id else None
-        if plate.colours is None and known is not None:  # they are looked at in frames that have the time
-            plate = replace(plate, colours=known.colours)
-        features = gather(plate, camera, np.asarray(view_from_vehicle, dtype=np.float64))
+        features = gather(self._coloured(plate, known), camera, view)
         empty = known or TrackScale(track_id=plate.track_id, t_ns=t_ns)
         reason = self._too_little(features, plate)
         if reason:
             return None, empty, reason
-        said = print_log_likelihood(self._classes.values(), plate) if len(self._classes) > 1 else {}
+        said = said_by_print(self._classes.values(), plate) if len(self._classes) > 1 else {}
         scores = self._scores(plate, features, known, said)
         answers = self._fit_all(features, known, t_ns, scores)
         if answers and known is not None and known.misfits + 1 >= _MISFITS_TO_RESET and self._misfit(answers):
-            anew = self._scores(plate, features, None, said)
-            fresh = self._fit_all(features, None, t_ns, anew)
+            alone, anew = gather(plate, camera, view), self._scores(plate, features, None, said)
+            fresh = self._fit_all(alone, None, t_ns, anew)
             if fresh and not self._misfit(fresh):  # else it is the outline that is wrong, not the memory
-                known, scores, answers = None, anew, fresh
+                features, known, scores, answers = alone, None, anew, fresh
         if not answers:
             return None, empty, "no planar pose fits what was seen"
         evidence = self._evidence(answers, known, scores, _size_px(features)).with_print(said)
@@ -119,6 +118,12 @@ class Ranger:
         after = self._remember(answers, evidence, belief, parts, known, plate, t_ns)
         range_, reason = self._result(plate, camera, features, answers, belief, parts, t_ns)
         return range_, after, reason
+
+    def _coloured(self, plate: PlateSighting, known: TrackScale | None) -> PlateSighting:
+        """With the colours that were last seen, where this frame had no time to look at them."""
+        if plate.colours is not None or known is None or not self.settings.memory:
+            return plate
+        return replace(plate, colours=known.colours)
 
     def _too_little(self, features: Features, plate: PlateSighting) -> str | None:
         width = features.width
@@ -237,7 +242,8 @@ class Ranger:
             track_id=plate.track_id, t_ns=t_ns, evidence=evidence, log_offsets=offsets, sizes=sizes,
             yaw_rad=float(best.fit.x[YAW]), yaw_sigma_rad=best.yaw_sigma_rad, lean_rad=float(best.fit.x[LEAN]),
             lean_sigma_rad=float(best.fit.covariance[LEAN, LEAN] ** 0.5), roll_rad=float(best.fit.x[ROLL]),
-            frames=(known.frames if known is not None else 0) + 1, misfits=misfits, bolts=bolts, colours=plate.colours,
+            frames=(known.frames if known is not None else 0) + 1, misfits=misfits, bolts=bolts,
+            colours=self._coloured(plate, known).colours,
         )
 
     def _result(self, plate: PlateSighting, camera: Camera, features: Features, answers: list[_Answer],

@@ -17,6 +17,7 @@ from tmde_edge.ranging.bolts import BoltsSay
 
 Floats = NDArray[np.float64]
 
+TOLD = 5  # frames after which what print says of a plate counts in full
 LOOK_STEP = 0.15  # log size: by so much grown, a plate's edges fall anew into the pixels and blur matters less
 
 
@@ -34,7 +35,8 @@ class Evidence:
 
     A plate that stays as large as it is in the image shows the same errors again and again: a thousand frames of it are one look.
     What it shows at another size is another look. looks: mean log evidence and number of frames, by size and standard.
-    What is printed on it stays the same at all sizes. printed: the same by kind (colours, groups of characters) and standard.
+    What is printed on it stays the same at all sizes. printed: the same by kind of print (printed.py) and standard; what is told
+    of a followed plate later than in its first frame gains its full weight in a few frames, so that the belief does not jump.
     """
 
     prior: dict[str, float] = field(default_factory=dict)
@@ -51,17 +53,20 @@ class Evidence:
         )
 
     def with_print(self, said: dict[str, dict[str, float]]) -> Evidence:
-        """After one more frame's print, by kind and standard."""
-        new = {kind: _with_values(self.printed.get(kind, {}), values) for kind, values in said.items()}
+        """After one more frame's print, by kind and standard; the first frame's counts in full at once."""
+        first = sum(max(frames for _, frames in look.values()) for look in self.looks.values()) <= 1
+        new = {kind: _with_values(self.printed.get(kind, {}), values, TOLD if first else 1) for kind, values in said.items()}
         return replace(self, printed={**self.printed, **new})
 
     def log_belief(self) -> dict[str, float]:
         """Log probabilities of the standards; {} before the first frame."""
         total = dict(self.prior)
-        for look in (*self.looks.values(), *self.printed.values()):
+        for look in self.looks.values():
             for k, (mean, _) in look.items():
-                if k in total:
-                    total[k] += mean
+                total[k] += mean
+        for kind in self.printed.values():
+            for k, (mean, frames) in kind.items():
+                total[k] += mean * min(1.0, frames / TOLD)
         return normalised(total) if total else {}
 
 
@@ -85,12 +90,14 @@ class TrackScale:
     misfits: int = 0  # frames in a row that contradict what was learned
 
 
-def _with_values(means: dict[str, tuple[float, int]], values: dict[str, float]) -> dict[str, tuple[float, int]]:
-    """Running means and their numbers of frames after one more of some."""
+def _with_values(
+    means: dict[str, tuple[float, int]], values: dict[str, float], weight: int = 1
+) -> dict[str, tuple[float, int]]:
+    """Running means and their numbers of frames after one more of some, which counts as so many."""
     new = dict(means)
     for k, value in values.items():
         mean, frames = new.get(k, (0.0, 0))
-        new[k] = mean + (value - mean) / (frames + 1), frames + 1
+        new[k] = mean + (value - mean) * weight / (frames + weight), frames + weight
     return new
 
 

@@ -121,7 +121,8 @@ def test_unknown_names_point_to_the_nearest() -> None:
         (("main = false", "main = true"), "exactly one main"),
         (('name = "test"', 'nane = "test"'), "nane|name"),
         (("mm = 500", 'mm = "x"'), "plate_width"),
-        (('name = "test"', 'name = "test"\nother_backgrounds = ["mauve"]'), "background 'mauve' is none of white"),
+        (('name = "test"', 'name = "test"\nother_backgrounds = { mauve = 0.1 }'), "background 'mauve' is none of white"),
+        (('name = "test"', 'name = "test"\nother_backgrounds = { blue = 0.6, green = 0.4 }'), "leave some for the usual ground"),
     ],
 )
 def test_faults_in_a_standard_name_the_place(change: tuple[str, str], message: str) -> None:

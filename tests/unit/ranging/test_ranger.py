@@ -8,9 +8,9 @@ from msgspec.structs import replace as replace_struct
 from plate_scenes import AHEAD, CAMERA, sighting
 
 from tmde_edge.geometry.pinhole import Camera, view_from_vehicle
-from tmde_edge.messages import BoltSighting, GlyphSighting, PlateSighting, RangeMeasurement
+from tmde_edge.messages import BoltSighting, GlyphSighting, PlateColours, PlateSighting, RangeMeasurement
 from tmde_edge.plates.region import expected
-from tmde_edge.plates.standard import load_standards, select
+from tmde_edge.plates.standard import Size, load_standards, select
 from tmde_edge.ranging.budget import ideal_sighting
 from tmde_edge.ranging.classify import classes
 from tmde_edge.ranging.ranger import Ranger
@@ -475,18 +475,24 @@ def test_standards_with_and_without_bolts_are_two_classes() -> None:
     twin = replace_struct(STANDARDS["us-aamva3"], id="twin", hole_spacing=None)
     assert len(classes([STANDARDS["us-aamva3"], twin], JOINT)) == 2
     assert len(classes([STANDARDS["us-aamva3"], replace_struct(STANDARDS["us-aamva3"], id="twin")], JOINT)) == 1
+    wider = replace_struct(STANDARDS["us-aamva3"], id="wider", hole_spacing=Size(mm=190.0))
+    assert len(classes([STANDARDS["us-aamva3"], wider], JOINT)) == 2
 
 
 def test_without_memory_every_frame_stands_for_itself() -> None:
-    """Bolts of an earlier frame say nothing, nor do sizes."""
-    r = Ranger(RangingSettings(memory=False), select(["us-aamva3"]))
-    bolted = _with_bolts(4.0, width_mm=304.8 * 1.03)
-    plain = replace(bolted, bolts=())
-    alone = ranged(r, plain)
-    _, state, _ = r.measure(bolted, CAMERA, AHEAD, 0)
-    after, _, _ = r.measure(plain, CAMERA, AHEAD, 33_000_000, state)
-    assert after is not None
-    assert after.distance_m == pytest.approx(alone.distance_m, rel=1e-4)
+    """Bolts and colours of an earlier frame say nothing, nor do sizes."""
+    framed = _with_bolts(4.0, width_mm=304.8 * 1.03)
+    french = sighting(STANDARDS["fr-1"], distance_m=8.0, corner_sigma=0.3, glyph_sigma=0.15, width_mm=480.0)
+    one_band = PlateColours(ground="white", left_band=True, right_band=False)
+    for id_, told, plain in (
+        ("us-aamva3", framed, replace(framed, bolts=())), ("fr-1", replace(french, colours=one_band), french),
+    ):  # fmt: skip
+        r = Ranger(RangingSettings(memory=False), select([id_]))
+        alone = ranged(r, plain)
+        _, state, _ = r.measure(told, CAMERA, AHEAD, 0)
+        after, _, _ = r.measure(plain, CAMERA, AHEAD, 33_000_000, state)
+        assert after is not None
+        assert after.distance_m == pytest.approx(alone.distance_m, rel=1e-4)
 
 
 def test_the_region_decides_what_the_picture_leaves_open() -> None:

@@ -56,6 +56,23 @@ def test_grey_at_an_end_of_a_yellow_plate_is_no_band():
     assert colours.left_band is False
 
 
+@pytest.mark.parametrize("light", [(0.3, 0.75, 1.0), (0.1, 0.7, 1.0), (0.5, 0.75, 1.0), (1.0, 0.5, 0.4)])
+def test_in_coloured_light_no_ground_is_coloured_and_no_band_denied(light):
+    """Sodium lamps, dusk, a blue flash: all else is of that colour too."""
+    for left in (None, EU):
+        seen = plate_colours(_plate(left_bgr=left, light=light, around_bgr=(120, 125, 128)), CORNERS, light_on_dark=False)
+        assert seen is not None
+        assert seen.ground in (None, "white")
+        assert False not in (seen.left_band, seen.right_band) or seen.ground == "white"
+
+
+def test_a_yellow_plate_on_a_coloured_vehicle_is_yellow():
+    for body in ((130, 70, 30), (40, 38, 36), (52, 40, 150), (60, 110, 20)):
+        seen = plate_colours(_plate(YELLOW, around_bgr=body), CORNERS, light_on_dark=False)
+        assert seen is not None
+        assert seen.ground == "yellow"
+
+
 def test_tinted_light_may_hide_a_band_but_does_not_deny_it():
     pink = (0.75, 0.6, 1.0)
     seen = plate_colours(_plate(left_bgr=EU, light=pink), CORNERS, light_on_dark=False)
@@ -95,7 +112,45 @@ def test_an_outline_without_a_size_says_nothing(corners):
     assert plate_colours(_plate(), corners, light_on_dark=False) is None
 
 
-def test_a_plate_at_the_pictures_edge_is_looked_at_as_far_as_it_goes():
-    colours = plate_colours(_plate()[:, 210:], CORNERS - [210, 0], light_on_dark=False)
-    assert colours is not None
-    assert colours.ground == "white"
+def test_noise_of_a_grey_camera_is_no_colour():
+    rng = np.random.default_rng(3)
+    noisy = np.clip(np.repeat(_plate(YELLOW)[:, :, 1:2], 3, axis=2) + rng.normal(0, 4, (240, 520, 3)), 0, 255).astype(np.uint8)
+    assert plate_colours(noisy, CORNERS, light_on_dark=False) is None
+
+
+def test_glare_is_no_white_ground():
+    glare = np.clip(_plate(YELLOW, left_bgr=EU).astype(float) * 7, 0, 255).astype(np.uint8)
+    assert plate_colours(glare, CORNERS, light_on_dark=False) == PlateColours()
+
+
+def test_where_a_plate_is_cut_its_band_is_not_denied():
+    image = _plate(left_bgr=EU, right_bgr=EU)
+    left = plate_colours(np.ascontiguousarray(image[:, 210:]), CORNERS - [210, 0], light_on_dark=False)
+    right = plate_colours(np.ascontiguousarray(image[:, :294]), CORNERS, light_on_dark=False)
+    assert left == PlateColours(ground="white", left_band=None, right_band=True)
+    assert right == PlateColours(ground="white", left_band=True, right_band=None)
+
+
+def test_a_plate_outside_the_picture_has_no_colours():
+    for away in (600.0, -600.0, 5e5):
+        assert plate_colours(_plate(YELLOW), CORNERS + away, light_on_dark=False) is None
+    assert plate_colours(np.zeros((0, 10, 3), np.uint8), CORNERS, light_on_dark=False) is None
+
+
+def test_a_picture_wider_than_opencv_samples_from_is_read():
+    image = np.zeros((240, 33000, 3), np.uint8)
+    image[:, 32000:32520] = _plate(YELLOW)
+    seen = plate_colours(image, CORNERS + np.array([32000, 0]), light_on_dark=False)
+    assert seen is not None
+    assert seen.ground == "yellow"
+
+
+def test_a_tall_plates_band_may_end_half_way_down():
+    image = np.full((240, 520, 3), 90, np.uint8)
+    image[80:150, 200:300] = WHITE
+    image[86:110, 220:280:9] = INK
+    image[120:144, 215:285:9] = INK
+    image[80:111, 200:208] = EU
+    corners = np.array([[199.5, 79.5], [299.5, 79.5], [299.5, 149.5], [199.5, 149.5]])
+    seen = plate_colours(image, corners, light_on_dark=False)
+    assert seen == PlateColours(ground="white", left_band=True, right_band=False)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scenes import plate_still
 
+from tmde_edge.messages import PlateColours
 from tmde_edge.simulation.stills import render_still
 from tmde_edge.simulation.vehicle import Body
 from tmde_edge.vision.protocols import PlateCandidate
@@ -16,6 +17,7 @@ from tmde_edge.vision.segment.bolts import BoltPlaces
 from tmde_edge.vision.segment.glyph_decode import Glyph, GlyphReading
 from tmde_edge.vision.segment.glyph_reader import GlyphReader
 from tmde_edge.vision.settings import SegmenterSettings
+from tmde_edge.vision.sighting import plate_sighting, washed
 
 AMERICAN = BoltPlaces(spacing=177.8 / 304.8, aspect=0.5)
 
@@ -114,6 +116,28 @@ def test_bolts_are_looked_for_where_they_are_expected_and_time_allows(hurried, p
     reader = GlyphReader(Network(still), SegmenterSettings(), bolts=places)
     reading = reader.read(still.image, [PlateCandidate(corners_px=still.corners_px, score=0.9, hurried=hurried)])[0]
     assert len(reading.bolts) == pairs
+
+
+@pytest.mark.parametrize(
+    ("standard", "seen"),
+    [("fr-1", ("white", True, True)), ("de-mittel", ("white", True, False)), ("gb-2001", ("yellow", False, False)),
+     ("pl-2", ("white", True, False)), ("us-mi", ("white", False, False))],
+)  # fmt: skip
+def test_a_plates_colours_are_read_where_time_allows(standard, seen):
+    still = plate_still(standard, 90, seed=3)
+    reader = GlyphReader(Network(still), SegmenterSettings())
+    for hurried in (False, True):
+        reading = reader.read(still.image, [PlateCandidate(corners_px=still.corners_px, score=0.9, hurried=hurried)])[0]
+        if hurried:
+            assert reading.colours is None
+        else:
+            assert (reading.colours.ground, reading.colours.left_band, reading.colours.right_band) == seen
+    sighting = plate_sighting(
+        replace(reading, colours=PlateColours(ground="green")), track_id=1, score=0.9, source="detector", shape=still.image.shape,
+        settings=SegmenterSettings(),
+    )  # fmt: skip
+    assert sighting.colours == PlateColours(ground="green")
+    assert washed(replace(reading, colours=PlateColours(ground="green"))).colours is None
 
 
 class BandLeftOut(Network):
