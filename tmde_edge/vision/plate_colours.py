@@ -89,7 +89,7 @@ def _sampled(image: Image, corners_px: Array, across: Array, down: Array) -> tup
 
 def _is_grey(flat: Colours) -> bool:
     """Whether a picture shows no colour but noise: blocks of samples are averaged."""
-    blocks = flat.reshape(ROWS // 4, 4, COLUMNS // 4, 4, 3).mean(axis=(1, 3))
+    blocks = flat.reshape(ROWS // 4, 4, COLUMNS // 8, 8, 3).mean(axis=(1, 3))
     return float(np.quantile(blocks.max(axis=2) - blocks.min(axis=2), 0.95)) < LEAST_CHROMA
 
 
