@@ -97,7 +97,8 @@ class Ranger:
         """
         view = np.asarray(view_from_vehicle, dtype=np.float64)
         known = state if state is not None and state.track_id == plate.track_id else None
-        features = gather(self._coloured(plate, known), camera, view)
+        coloured = self._coloured(plate, known)
+        features = gather(coloured, camera, view)
         empty = known or TrackScale(track_id=plate.track_id, t_ns=t_ns)
         reason = self._too_little(features, plate)
         if reason:
@@ -109,13 +110,14 @@ class Ranger:
             alone, anew = gather(plate, camera, view), self._scores(plate, features, None, said)
             fresh = self._fit_all(alone, None, t_ns, anew)
             if fresh and not self._misfit(fresh):  # else it is the outline that is wrong, not the memory
-                features, known, scores, answers = alone, None, anew, fresh
+                coloured, features, known, scores, answers = plate, alone, None, anew, fresh
         if not answers:
             return None, empty, "no planar pose fits what was seen"
-        evidence = self._evidence(answers, known, scores, _size_px(features)).with_print(said)
+        first = known is None or not known.evidence.looks
+        evidence = self._evidence(answers, known, scores, _size_px(features)).with_print(said, first=first)
         belief = evidence.log_belief()
         parts = _hypotheses(answers, belief, known)
-        after = self._remember(answers, evidence, belief, parts, known, plate, t_ns)
+        after = self._remember(answers, evidence, belief, parts, known, coloured, t_ns)
         range_, reason = self._result(plate, camera, features, answers, belief, parts, t_ns)
         return range_, after, reason
 
@@ -243,7 +245,7 @@ class Ranger:
             yaw_rad=float(best.fit.x[YAW]), yaw_sigma_rad=best.yaw_sigma_rad, lean_rad=float(best.fit.x[LEAN]),
             lean_sigma_rad=float(best.fit.covariance[LEAN, LEAN] ** 0.5), roll_rad=float(best.fit.x[ROLL]),
             frames=(known.frames if known is not None else 0) + 1, misfits=misfits, bolts=bolts,
-            colours=self._coloured(plate, known).colours,
+            colours=plate.colours,
         )
 
     def _result(self, plate: PlateSighting, camera: Camera, features: Features, answers: list[_Answer],

@@ -52,9 +52,8 @@ class Evidence:
             self, prior={**self.prior, **fresh}, looks={**self.looks, place: _with_values(self.looks.get(place, {}), gained)}
         )
 
-    def with_print(self, said: dict[str, dict[str, float]]) -> Evidence:
+    def with_print(self, said: dict[str, dict[str, float]], *, first: bool) -> Evidence:
         """After one more frame's print, by kind and standard; the first frame's counts in full at once."""
-        first = sum(max(frames for _, frames in look.values()) for look in self.looks.values()) <= 1
         new = {kind: _with_values(self.printed.get(kind, {}), values, TOLD if first else 1) for kind, values in said.items()}
         return replace(self, printed={**self.printed, **new})
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tmde_edge.messages import Ground, PlateColours
 from tmde_edge.vision.protocols import Image
-from tmde_edge.vision.rectify import bounds, size_px
+from tmde_edge.vision.rectify import apply_homography, bounds, homography_source_from_rectified, is_convex, size_px
 
 Array = NDArray[np.float64]
 Colours = NDArray[np.float32]
@@ -40,7 +40,7 @@ def plate_colours(image: Image, corners_px: Array, light_on_dark: bool) -> Plate
     if image.ndim != 3 or image.shape[2] < 3 or not np.isfinite(corners_px).all() or np.abs(corners_px).max() > 1e6:
         return None
     width_px, height_px = size_px(corners_px)
-    if min(width_px, height_px) < 2:
+    if min(width_px, height_px) < 2 or not is_convex(corners_px):
         return None
     across, down = (np.arange(COLUMNS) + 0.5) / COLUMNS, UP + (DOWN - UP) * (np.arange(ROWS) + 0.5) / ROWS
     flat, seen = _sampled(image, corners_px, across, down)
@@ -52,12 +52,13 @@ def plate_colours(image: Image, corners_px: Array, light_on_dark: bool) -> Plate
     if bright < LEAST_BRIGHT or colour.min() >= CLIPPED:
         return PlateColours()
     ground = _ground(colour)
-    if ground is not None and ground != "white" and _alike(colour, _surround(image, corners_px)):
-        ground = None
+    coloured = ground not in (None, "white")
+    if coloured and _alike(colour, _surround(image, corners_px)):
+        ground, coloured = None, False
     left = right = None
     if height_px >= BAND_HEIGHT_PX and not light_on_dark:
         clear = ground == "yellow" or 1 - float(colour.min()) / bright < TINTED  # tinted light can hide a band, it makes none
-        white = bright if ground in ("yellow", "green", "blue") else np.maximum(colour, LEAST_BRIGHT)
+        white = bright if coloured else np.maximum(colour, LEAST_BRIGHT)
         balanced = flat / white
         blue = balanced[..., 0] - np.maximum(balanced[..., 1], balanced[..., 2])
         band = min(BAND_OF_HEIGHT * height_px / width_px, BAND_OF_WIDTH)
@@ -71,13 +72,11 @@ def plate_colours(image: Image, corners_px: Array, light_on_dark: bool) -> Plate
 
 def _sampled(image: Image, corners_px: Array, across: Array, down: Array) -> tuple[Colours, NDArray[np.bool_]]:
     """Colours (n, m, 3) at shares of the plate's height down (n,) and width across (m,), and which of them the picture shows."""
-    square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
-    places = np.stack(np.meshgrid(across, down), axis=-1).reshape(1, -1, 2)
-    at = cv2.perspectiveTransform(places, cv2.getPerspectiveTransform(square, corners_px.astype(np.float32)))
-    at = at.reshape(len(down), len(across), 2)
+    places = np.stack(np.meshgrid(across, down), axis=-1).reshape(-1, 2) - 0.5  # in a rectified picture of one pixel
+    at = apply_homography(homography_source_from_rectified(corners_px, 1, 1), places).reshape(len(down), len(across), 2)
     h, w = image.shape[:2]
     inside = (at >= -0.5).all(axis=2) & (at[..., 0] <= w - 0.5) & (at[..., 1] <= h - 0.5)
-    x0, y0, x1, y1 = bounds(at.reshape(-1, 2).astype(np.float64))
+    x0, y0, x1, y1 = bounds(at.reshape(-1, 2))
     left, top = max(0, min(int(x0) - 1, w - 1)), max(0, min(int(y0) - 1, h - 1))
     part = image[top : max(top + 1, int(y1) + 3), left : max(left + 1, int(x1) + 3), :3]
     if part.size == 0 or max(part.shape[:2]) >= 32767:  # more than OpenCV samples from
