@@ -226,7 +226,8 @@ def test_colours_of_an_earlier_frame_count_where_a_hurried_one_has_none() -> Non
     plate = sighting(STANDARDS["fr-1"], distance_m=8.0, corner_sigma=0.3, glyph_sigma=0.15, width_mm=480.0)
     looked = replace(plate, colours=PlateColours(ground="white", left_band=True, right_band=False))
     first, state, _ = ranger.measure(looked, CAMERA, AHEAD, 0)
-    second, _, _ = ranger.measure(plate, CAMERA, AHEAD, 33_000_000, state)
+    second, state, _ = ranger.measure(plate, CAMERA, AHEAD, 33_000_000, state)
+    assert state.colours == looked.colours  # for the next one, too
     assert first is not None
     assert second is not None
     assert second.distance_m == pytest.approx(first.distance_m, rel=1e-2)
